@@ -23,9 +23,8 @@ from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import NOISE_ERROR, fit
+from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel._smoothing import CLIP
 from scope_models.pixelmodel._star import StarModel
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
@@ -320,7 +319,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
                 fitted = other.fit(cadence_mask, **transit)
             following = fitted.contrast_error * np.std(fitted.solution.y)
             seen = following**2 > np.median(fitted.solution.variance) / fitted.window
-            if np.log(fitted.noise_scale) < CLIP * NOISE_ERROR or seen:
+            if not fitted.solution.noise_is_outlier or seen:
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
             return other if _gain(other, fitted) > _DECISIVE else fitted

@@ -7,7 +7,6 @@ from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._covariance import RandomWalk
 from scope_models.correctors._regression import FLAT, Hyperparameters
 
 __all__ = ["find_waves", "harmonic_columns"]
@@ -36,16 +35,6 @@ def harmonic_columns(time, frequencies):
     """Return a cosine and a sine per frequency, ``(n_cadences, 2 n_frequencies)``."""
     phase = 2 * np.pi * np.outer(time, frequencies)
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
-
-
-class _Walk(Hyperparameters):
-    """A random walk as slow process: a smooth one would be as slow rotation is."""
-
-    def process(self, time, variance):
-        return RandomWalk(time, self.noise_scale * variance, self.amplitude, self.period)
-
-    def density(self, frequency):
-        return 2 * self.amplitude * self.period / (1 + (2 * np.pi * frequency * self.period) ** 2)
 
 
 @dataclass(frozen=True)
@@ -210,7 +199,7 @@ def _with_simple_noise(solution, rest):
     if solution.data.most is not None:
         unit = np.minimum(unit, solution.data.most)
     length = float(np.ptp(solution.data.time))
-    hyper = _Walk(max(jitter**2 / variance, 1.0), unit, slow, length)
+    hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, 0.0, 1.0, slow / length)
     return replace(solution, hyper=hyper)
 
 

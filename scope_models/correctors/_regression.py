@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
-from scope_models.correctors._covariance import Covariance, Noise
+from scope_models.correctors._covariance import FORGOTTEN, Covariance, Noise
 
 __all__ = [
     "FLAT",
@@ -58,6 +58,7 @@ class Data:
     expected: np.ndarray | None = None  # prior variance of each group, NaN for none
     most: np.ndarray | None = None  # largest prior variance of each group, with ``expected``
     least_noise: float = 1e-4  # least factor of the white noise's variance
+    noise_error: float = np.inf  # standard deviation of its logarithm
 
     @property
     def n_groups(self):
@@ -78,13 +79,19 @@ class Data:
         square = np.mean(self.columns[:, : len(self.groups)] ** 2, axis=0)
         return np.bincount(self.groups, square, minlength=self.n_groups)
 
-    def improbability(self, variances):
-        """Return minus the logarithm of the hyperprior of variances, and its slopes by theirs."""
+    def improbability(self, noise_scale, variances):
+        """Return minus the logarithm of the hyperprior, and its slopes by those of its arguments.
+
+        The first slope is that by the noise.
+        """
+        noise = np.log(noise_scale) / self.noise_error
         if self.expected is None:
-            return 0.0, np.zeros(self.n_groups)
-        ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
-        excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
-        return 0.5 * (ratio @ ratio + excess @ excess), ratio / _SPREAD + excess / _EXCESS
+            ratio = excess = np.zeros(self.n_groups)
+        else:
+            ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
+            excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
+        slopes = np.append(noise / self.noise_error, ratio / _SPREAD + excess / _EXCESS)
+        return 0.5 * (noise**2 + ratio @ ratio + excess @ excess), slopes
 
     def averaged(self, width):
         """Return the means of so many cadences each, one after the other."""
@@ -110,19 +117,22 @@ class Hyperparameters:
     variances: np.ndarray  # prior variance of each group
     amplitude: float | None  # variance of the long-term process; None: there is none
     period: float  # its undamped period, days
+    walk: float = 0.0  # half of the variance of the random walk's steps in a day
 
     def process(self, time, variance):
         """Return the covariance of everything but the columns."""
         if self.amplitude is None:
             return Noise(self.noise_scale * variance)
-        return Covariance(time, self.noise_scale * variance, self.amplitude, self.period)
+        scaled = self.noise_scale * variance
+        return Covariance(time, scaled, self.amplitude, self.period, self.walk)
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""
         if self.amplitude is None:
             return np.zeros_like(frequency)
         power = self.amplitude * self.period / (1 + (frequency * self.period) ** 4)
-        return np.sqrt(2) / np.pi * power
+        walk = 2 * self.walk / np.maximum(2 * np.pi * frequency, 1 / FORGOTTEN) ** 2
+        return np.sqrt(2) / np.pi * power + walk
 
     def prior(self, data):
         """Return the prior variance of each column."""
@@ -180,8 +190,8 @@ class Posterior:
 def log_likelihood(data, hyper, *, gradient=False):
     """Return the logarithm of the marginal likelihood.
 
-    With ``gradient`` its derivatives by the logarithms of noise scale, variances, amplitude and
-    period follow, the last two with a long-term process only.
+    With ``gradient`` its derivatives by the logarithms of noise scale, variances, amplitude,
+    period and walk follow, the last three with a long-term process only.
     """
     process = hyper.process(data.time, data.variance)
     stacked = data.stacked
@@ -230,6 +240,7 @@ class _Trial:
             noise_scale=self.hyper.noise_scale * factor,
             variances=variances,
             amplitude=None if self.hyper.amplitude is None else self.hyper.amplitude * factor,
+            walk=self.hyper.walk * factor,
         )
         more = len(self.data.y) * np.log(factor)
         return _Trial(self.data, hyper, self.gram / factor, self.log_determinant + more)
@@ -242,7 +253,8 @@ class _Trial:
         except np.linalg.LinAlgError:
             return -np.inf
         value = posterior.quadratic + posterior.log_determinant + self.log_determinant
-        return -0.5 * value - self.data.improbability(self.hyper.variances)[0]
+        hyper = self.hyper
+        return -0.5 * value - self.data.improbability(hyper.noise_scale, hyper.variances)[0]
 
 
 def _fit_scales(trial):
@@ -260,9 +272,9 @@ def _fit_scales(trial):
         used = 1 - posterior.shrinkage
         by_group = (used - posterior.mean**2 / prior)[: len(data.groups)]
         slope = 0.5 * np.bincount(data.groups, by_group, minlength=data.n_groups)
-        unlikely, rise = data.improbability(np.exp(theta[1:]))
-        value, slope = value + unlikely, slope + rise
-        return value, np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
+        unlikely, rise = data.improbability(hyper.noise_scale * scale, np.exp(theta[1:]))
+        slope = np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
+        return value + unlikely, slope + rise
 
     unit = np.log(data.spread / data.sizes)
     least = np.log(data.least_noise / hyper.noise_scale)
@@ -284,8 +296,8 @@ def _minimize(objective, start, bounds, n):
         value, slope = objective(theta * unit)
         return value, slope * unit
 
+    start = np.log(np.clip(start, *np.exp(np.transpose(bounds)))) / unit
     bounds = np.array(bounds) / unit[:, None]
-    start = np.clip(np.log(start) / unit, *bounds.T)
     options = {"maxiter": _STEPS, "ftol": _PRECISION / n}
     result = minimize(scaled, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return [float(value) for value in np.exp(result.x * unit)]
@@ -311,22 +323,23 @@ def _fit_process(trial):
     data = _compressed(trial.gram, whole, hyper)
 
     def objective(theta):
-        scale, variance, amplitude, period = np.exp(theta)
-        tried = Hyperparameters(scale, np.array([variance]), amplitude, period)
+        scale, variance, *process = np.exp(theta)
+        tried = Hyperparameters(scale, np.array([variance]), *process)
         try:
             value, slope = log_likelihood(data, tried, gradient=True)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
-        unlikely, rise = whole.improbability(hyper.variances * variance)
-        slope[1] -= rise.sum()
-        return unlikely - value, -slope
+        unlikely, rise = whole.improbability(scale, hyper.variances * variance)
+        slope[:2] -= rise[0], rise[1:].sum()
+        return unlikely - value, -slope[: len(theta)]
 
-    amplitude = np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread])
-    period = np.log([_SHORTEST_PERIOD, SLOWEST])
-    bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
-    start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period]
-    scale, variance, amplitude, period = _minimize(objective, start, bounds, len(data.y))
-    best = Hyperparameters(scale, hyper.variances * variance, amplitude, period)
+    size = tuple(np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread]))
+    period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
+    bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), size, period, size]
+    start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
+    n = len(start) if hyper.walk else len(start) - 1
+    scale, variance, *process = _minimize(objective, start[:n], bounds[:n], len(data.y))
+    best = Hyperparameters(scale, hyper.variances * variance, *process)
     return _Trial.at(whole, best)
 
 

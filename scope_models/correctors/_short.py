@@ -48,7 +48,7 @@ def _runs(data, mean, hyper, sigma):
     """Return the first means of runs that deviate, and those after the last, ``(n_runs, 2)``."""
     n, rest = len(data.y), data.y - data.columns @ mean
     amplitude = min(hyper.amplitude, max(mad_std(rest) ** 2, np.median(data.variance)))
-    hyper = replace(hyper, amplitude=amplitude, period=SLOWEST)
+    hyper = replace(hyper, amplitude=amplitude, period=SLOWEST, walk=0.0)
     process = hyper.process(data.time, data.variance)
     inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
     free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)

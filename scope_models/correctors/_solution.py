@@ -16,6 +16,7 @@ from scope_models.correctors._regression import (
     log_likelihood,
 )
 from scope_models.correctors._short import short_changes, with_edges
+from scope_models.pixelmodel._smoothing import CLIP
 
 __all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 
@@ -98,7 +99,13 @@ class Solution:
         expected = [known.get(name, np.nan) for name in self.regressors.names]
         most = [_MOST.get(name, 1e9) for name in self.regressors.names]
         found = {"expected": np.square(expected), "most": np.square(most)}
-        return {**found, "least_noise": 1.0} if self.predicted else found
+        noise = {"least_noise": 1.0, "noise_error": NOISE_ERROR}
+        return {**found, **noise} if self.predicted else found
+
+    @property
+    def noise_is_outlier(self):
+        """Whether there is more white noise than FLUX_ERR may lack."""
+        return np.log(self.hyper.noise_scale) > CLIP * NOISE_ERROR
 
     @cached_property
     def process(self):
@@ -364,12 +371,16 @@ def fit(
             periodic = likeliest(first.with_frequencies(waves.frequencies, use))
             gain = _evidence(periodic, use) - _evidence(solution, use)
             solution = periodic if gain > waves.improbability(use.sum()) else solution
-    if not solution.n_short:
-        return solution.with_returned(use, options)
-    # the shape of a short change is not learned from
-    solution = solution.without_short(use)
-    use = solution.use
-    return _without_outliers(solution, make_regressors, options).with_returned(use, options)
+    if solution.n_short:  # its shape is not learned from
+        solution = solution.without_short(use)
+        use = solution.use
+        solution = _without_outliers(solution, make_regressors, options)
+    if options.trend == "gp" and solution.noise_is_outlier:
+        walk = solution.hyper.noise_scale * np.median(variance)
+        walking = replace(solution, use=use, hyper=replace(solution.hyper, walk=walk))
+        walking = _without_outliers(walking, make_regressors, options)
+        solution = max(solution, walking, key=lambda s: _evidence(s, use))
+    return solution.with_returned(use, options)
 
 
 def _without_outliers(solution, make_regressors, options):

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._covariance import Covariance, Noise, RandomWalk
+from scope_models.correctors._covariance import FORGOTTEN, Covariance, Noise
 
-AMPLITUDE, PERIOD = 2.3, 1.7
+AMPLITUDE, PERIOD, WALK = 2.3, 1.7, 0.4
 
 
-def kernel(t_1, t_2, amplitude=AMPLITUDE, period=PERIOD):
-    """Return the oscillator's kernel by its defining equation."""
+def kernel(t_1, t_2, amplitude=AMPLITUDE, period=PERIOD, walk=WALK):
+    """Return the kernel of oscillator and random walk by its defining equation."""
     w = np.sqrt(2) * np.pi / period
     tau = np.abs(t_1[:, None] - t_2)
-    return amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
+    oscillator = amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
+    return oscillator + walk * FORGOTTEN * np.exp(-tau / FORGOTTEN)
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def both(request, problem):
     time, variance, _ = problem
     if request.param == "noise":
         return Noise(variance), np.diag(variance)
-    return Covariance(time, variance, AMPLITUDE, PERIOD), kernel(time, time) + np.diag(variance)
+    return Covariance(time, variance, AMPLITUDE, PERIOD, WALK), kernel(time, time) + np.diag(variance)
 
 
 def test_solve(both, problem):
@@ -39,23 +40,6 @@ def test_solve(both, problem):
     z = found.whiten(columns)
     np.testing.assert_allclose(z.T @ z, columns.T @ np.linalg.solve(dense, columns), atol=1e-11)
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
-
-
-def test_random_walk(problem):
-    time, variance, columns = problem
-    other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
-
-    def exponential(t_1, t_2):
-        return AMPLITUDE * np.exp(-np.abs(t_1[:, None] - t_2) / PERIOD)
-
-    dense = exponential(time, time) + np.diag(variance)
-    found = RandomWalk(time, variance, AMPLITUDE, PERIOD)
-    solved = np.linalg.solve(dense, columns)
-    np.testing.assert_allclose(found.solve(columns), solved, atol=1e-12)
-    assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
-    np.testing.assert_allclose(found.inverse_diagonal(), np.diag(np.linalg.inv(dense)), atol=1e-12)
-    expected = exponential(other, time) @ solved[:, 0]
-    np.testing.assert_allclose(found.predict(solved[:, 0], other), expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("starts", [[0, 13, 26, 47], [5], [0]])
@@ -78,7 +62,7 @@ def test_predict(problem):
     time, variance, columns = problem
     other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
     alpha = np.linalg.solve(kernel(time, time) + np.diag(variance), columns[:, 0])
-    found = Covariance(time, variance, AMPLITUDE, PERIOD).predict(alpha, other)
+    found = Covariance(time, variance, AMPLITUDE, PERIOD, WALK).predict(alpha, other)
     np.testing.assert_allclose(found, kernel(other, time) @ alpha, atol=1e-11)
 
 
@@ -87,20 +71,17 @@ def test_gradient(problem):
     weights = np.random.default_rng(2).normal(size=(3, 3))
     weights = weights + weights.T
 
-    def value(variance, log_amplitude, log_period):
-        dense = kernel(time, time, np.exp(log_amplitude), np.exp(log_period)) + np.diag(variance)
+    def value(variance, *logarithms):
+        dense = kernel(time, time, *np.exp(logarithms)) + np.diag(variance)
         gram = columns.T @ np.linalg.solve(dense, columns)
         return np.sum(weights * gram) + 0.5 * np.linalg.slogdet(dense)[1]
 
-    process = Covariance(time, variance, AMPLITUDE, PERIOD)
-    by_variance, by_amplitude, by_period = process.gradient(
-        columns, process.whiten(columns), weights
-    )
-    a, p, h = np.log(AMPLITUDE), np.log(PERIOD), 1e-5
-    numeric = (value(variance, a + h, p) - value(variance, a - h, p)) / (2 * h)
-    assert by_amplitude == pytest.approx(numeric, rel=1e-6)
-    numeric = (value(variance, a, p + h) - value(variance, a, p - h)) / (2 * h)
-    assert by_period == pytest.approx(numeric, rel=1e-6)
+    process = Covariance(time, variance, AMPLITUDE, PERIOD, WALK)
+    by_variance, *slopes = process.gradient(columns, process.whiten(columns), weights)
+    at, h = np.log([AMPLITUDE, PERIOD, WALK]), 1e-5
+    for slope, step in zip(slopes, h * np.eye(3), strict=True):
+        numeric = (value(variance, *(at + step)) - value(variance, *(at - step))) / (2 * h)
+        assert slope == pytest.approx(numeric, rel=1e-6)
     step = h * np.eye(60)[7]
-    numeric = (value(variance + step, a, p) - value(variance - step, a, p)) / (2 * h)
+    numeric = (value(variance + step, *at) - value(variance - step, *at)) / (2 * h)
     assert by_variance[7] == pytest.approx(numeric, rel=1e-6)

@@ -156,3 +156,13 @@ def test_unmasked_eclipses_keep_their_depth(period):
     found = score(corrector.correct(), sky)
     assert found.amplitude == pytest.approx(1, abs=0.002)
     assert found.full < 3.5
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_random_walk_is_no_noise(seed):
+    """A star whose flux walks by many times the noise from cadence to cadence."""
+    sky = make_sky(REGIMES["k2-1x-walk-20d"], seed, n_cadences=800)
+    corrector = PLDCorrector(sky.to_tpf())
+    lc = corrector.correct()
+    assert corrector.result.noise_scale < 2  # 60 without a walk
+    assert 0.7 < score(lc, sky).pull < 1.5

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from scope_models.correctors import _regression
-from scope_models.correctors._covariance import Covariance
+from scope_models.correctors._covariance import FORGOTTEN, Covariance
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._model import Settings
 from scope_models.correctors._regression import (
@@ -35,6 +35,7 @@ def dense_covariance(data, hyper):
         w = np.sqrt(2) * np.pi / hyper.period
         tau = np.abs(data.time[:, None] - data.time)
         dense += hyper.amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
+        dense += hyper.walk * FORGOTTEN * np.exp(-tau / FORGOTTEN)
     prior = np.append(hyper.variances[data.groups], np.full(data.n_flat, flat_variance(data)))
     return dense + data.columns * prior @ data.columns.T
 
@@ -53,7 +54,8 @@ def data():
 @pytest.fixture(params=["gp", "none"])
 def hyper(request):
     amplitude = 0.7 if request.param == "gp" else None
-    return Hyperparameters(1.3, np.array([3.0, 0.2]), amplitude, 2.5)
+    walk = 0.3 if request.param == "gp" else 0.0
+    return Hyperparameters(1.3, np.array([3.0, 0.2]), amplitude, 2.5, walk)
 
 
 def shifted(hyper, index, step):
@@ -65,9 +67,8 @@ def shifted(hyper, index, step):
         variances = hyper.variances.copy()
         variances[index - 1] *= factor
         return replace(hyper, variances=variances)
-    if index == 3:
-        return replace(hyper, amplitude=hyper.amplitude * factor)
-    return replace(hyper, period=hyper.period * factor)
+    name = ("amplitude", "period", "walk")[index - 3]
+    return replace(hyper, **{name: getattr(hyper, name) * factor})
 
 
 def test_log_likelihood(data, hyper):
@@ -78,7 +79,7 @@ def test_log_likelihood(data, hyper):
 def test_log_likelihood_gradient(data, hyper):
     value, slope = log_likelihood(data, hyper, gradient=True)
     assert value == log_likelihood(data, hyper)
-    assert len(slope) == (3 if hyper.amplitude is None else 5)
+    assert len(slope) == (3 if hyper.amplitude is None else 6)
     for k, found in enumerate(slope):
         up, down = (log_likelihood(data, shifted(hyper, k, h)) for h in (1e-5, -1e-5))
         assert found == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
@@ -152,7 +153,7 @@ def test_compression_keeps_a_column_of_tiny_priors(data):
     assert small.groups.tolist() == [0]
     same = replace(tiny, variances=np.ones(1))
     _, slope = log_likelihood(small, same, gradient=True)
-    assert slope.shape == (4,)
+    assert slope.shape == (5,)
 
 
 @pytest.fixture
