@@ -376,10 +376,12 @@ class PLDFit:
                 "with other light in the aperture they follow the star, and its variability is "
                 'lost; compare `fractions="predicted"`'
             )
-        if self.noise_scale > _NOISY:
+        step = np.median(np.diff(self.solution.time)) / np.median(self.solution.variance)
+        noise = self.noise_scale + self.solution.hyper.walk * step
+        if noise > _NOISY:
             found.append(
-                f"the noise has {self.noise_scale:.0f} times the variance of FLUX_ERR: the star "
-                "varies faster than the trend model, or systematics are left"
+                f"the noise has {noise:.0f} times the variance of FLUX_ERR: the star varies from "
+                "cadence to cadence, or systematics are left; `regressors` may hold these"
             )
         return found
 

@@ -99,8 +99,11 @@ class Solution:
         expected = [known.get(name, np.nan) for name in self.regressors.names]
         most = [_MOST.get(name, 1e9) for name in self.regressors.names]
         found = {"expected": np.square(expected), "most": np.square(most)}
-        noise = {"least_noise": 1.0, "noise_error": NOISE_ERROR}
-        return {**found, **noise} if self.predicted else found
+        if self.predicted:
+            found["least_noise"] = 1.0
+            if self.hyper and self.hyper.walk:  # which noise resembles
+                found["noise_error"] = NOISE_ERROR
+        return found
 
     @property
     def noise_is_outlier(self):
