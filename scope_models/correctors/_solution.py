@@ -24,9 +24,6 @@ __all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 _NO_WEIGHT = 1e6
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
-#: Tolerance: part of the cadences without which the columns and the time scales stay: only the
-#: variances are fitted again.
-_LITTLE = 0.01
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
 #: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
 NOISE_ERROR = 0.16
@@ -388,16 +385,17 @@ def fit(
 
 def _without_outliers(solution, make_regressors, options):
     """Fit the hyper-parameters and leave out outliers by turns."""
-    solution = replace(solution, hyper=_fit_hyper(solution, options, little=False))
     for k in range(_REFITS + 1):
+        data, hyper = solution.data, solution.hyper
+        if hyper is not None and len(hyper.variances) != data.n_groups:
+            hyper = None
+        hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
+        solution = replace(solution, hyper=hyper)
         use = solution.without_outliers(options).use if k < _REFITS else solution.use
         if (use == solution.use).all():
             break
-        little = (use != solution.use).sum() < _LITTLE * solution.use.sum()
-        regressors = solution.regressors if little else make_regressors(use)
         y = solution.y - solution.y[use].mean()
-        solution = replace(solution, use=use, y=y, regressors=regressors)
-        solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
+        solution = replace(solution, use=use, y=y, regressors=make_regressors(use))
     return solution
 
 
@@ -420,12 +418,3 @@ def _flat_columns(time, extra, n_trend):
     columns = np.concatenate([columns, extra], axis=1)
     scale = np.abs(columns).max(axis=0)
     return columns / scale, scale
-
-
-def _fit_hyper(solution, options, *, little):
-    data, hyper = solution.data, solution.hyper
-    if hyper is not None and len(hyper.variances) != data.n_groups:
-        hyper = None
-    if hyper is not None and little:
-        return fit_columns(data, hyper)
-    return fit_hyperparameters(data, hyper, trend=options.trend == "gp")
