@@ -30,7 +30,8 @@ def both(request, problem):
     time, variance, _ = problem
     if request.param == "noise":
         return Noise(variance), np.diag(variance)
-    return Covariance(time, variance, AMPLITUDE, PERIOD, WALK), kernel(time, time) + np.diag(variance)
+    dense = kernel(time, time) + np.diag(variance)
+    return Covariance(time, variance, AMPLITUDE, PERIOD, WALK), dense
 
 
 def test_solve(both, problem):
