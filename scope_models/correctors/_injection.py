@@ -60,7 +60,7 @@ class Source:
         plane = background_plane(typical)
         image = np.nan_to_num(typical - plane)
         if pixels.own is None or not pixels.own.all():
-            return image, plane, _star_share(image, pixels.aperture)
+            return image, plane, _star_share(image, pixels.core)
         share = np.ones(image.shape)
         full = self.series.mission and self.series.mission.full_flux
         if full is None or image.max() < full:
@@ -68,7 +68,7 @@ class Source:
             if places is not None and np.isfinite(places[pixels.usable]).any():
                 still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
                 still = np.nan_to_num(still - plane)
-            share = _blended_share(still, pixels.aperture)
+            share = _blended_share(still, pixels.core)
         return image, plane, share
 
     @cached_property
@@ -107,9 +107,9 @@ class Source:
         return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
 
 
-def _star_share(image, aperture):
+def _star_share(image, core):
     """Return the star's share in each pixel of an image without background."""
-    peak = int(np.argmax(np.where(aperture, image, -np.inf)))
+    peak = int(np.argmax(np.where(core, image, -np.inf)))
     stars = [own_pixels(image, peak)]
     left = ~stars[0]
     while left.any():
@@ -153,14 +153,14 @@ def _shared_out(image, places, near):
     return share, (image - light.sum(axis=1).reshape(image.shape)) * error.reshape(image.shape)
 
 
-def _blended_share(image, aperture):
+def _blended_share(image, core):
     """Return the star's share in each pixel where another one has no peak of its own.
 
     A second star is there if one profile, which may be elliptical but is the same on both sides,
     does not describe the image within its error, and two of them leave less than half.
     """
     alone, whole = np.ones(image.shape), np.ones(image.shape, dtype=bool)
-    star = _center(np.where(aperture, image, 0.0))
+    star = _center(np.where(core, image, 0.0))
     try:
         misfit = _shared_out(image, [star], whole)[1]
     except NoLightError:

@@ -77,9 +77,9 @@ def given_neighbors(neighbors, series, pixels):
 
 
 def _peak(pixels):
-    """Return the typical image, and row and column of the brightest pixel in the aperture."""
+    """Return the typical image, and row and column of the target's brightest pixel."""
     image = np.median(np.nan_to_num(pixels.flux[pixels.usable]), axis=0)
-    inside = np.where(pixels.aperture, image, -np.inf)
+    inside = np.where(pixels.core, image, -np.inf)
     return image, np.unravel_index(np.argmax(inside), image.shape)
 
 
@@ -135,10 +135,10 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     origin = np.array([box[1].start, box[0].start])
     peak = np.array(peak[::-1]) - origin
     known = neighbors.within(origin) if given else None
-    places = ~pixels.own[box] if neighbors is None and not apart else None
+    only = neighbors is None and not apart
     try:
         data = pixels.time[usable], flux, variance, pos_corr
-        found = fit_neighbors(*data, peak, use, known, places)
+        found = fit_neighbors(*data, peak, use, known, ~pixels.own[box], only)
     except (NoLightError, np.linalg.LinAlgError):
         if not given:
             return None

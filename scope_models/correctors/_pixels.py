@@ -89,6 +89,9 @@ class Pixels:
         Cadences with rolling bands, ``(n_cadences,)``.
     neighbors : NeighborLight, optional
         Other stars whose light was taken off.
+    core : ndarray of bool, optional
+        Pixels of the aperture among which the brightest one is the target's, ``(ny, nx)``: those
+        that are in the pipeline's too, if there are any.
     """
 
     time: np.ndarray
@@ -104,6 +107,7 @@ class Pixels:
     lit: np.ndarray | bool = True
     banded: np.ndarray | None = None
     neighbors: object = None
+    core: np.ndarray | None = None
 
     def quiet(self, use):
         """Return the cadences in use without rolling bands, unless these are in most."""
@@ -283,11 +287,15 @@ def aperture_pixels(series, aperture):
     noise = CLIP * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
-    own, crowding = _own_light(flux[positive], aperture, places)
+    core = aperture & series.aperture
+    core = core if core.any() else aperture
+    own, crowding = _own_light(flux[positive], aperture, core, places)
     if chosen:
         _compare_pipeline(series, aperture, positive)
-    totals = total, total_err, positive
-    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit, banded)
+    return Pixels(
+        time, flux, flux_err, aperture, total, total_err, positive, weights, own, crowding, lit,
+        banded, core=core,
+    )  # fmt: skip
 
 
 _REMEDY = 'compare `aperture_mask="pipeline"`'
@@ -328,15 +336,15 @@ def _jumps(flux):
     return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
 
 
-def _own_light(flux, aperture, pos_corr):
+def _own_light(flux, aperture, core, pos_corr):
     """Return the star's pixels, and the part of the aperture's light that is not in others'."""
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
-    peak = np.argmax(np.where(aperture, image, -np.inf))
+    peak = np.argmax(np.where(core, image, -np.inf))
     others = ~own_pixels(image, peak) & (image > OTHER_STAR * image.flat[peak])
     if others.any() and pos_corr is not None and np.isfinite(pos_corr).any():
         still = np.nan_to_num(at_one_place(flux, pos_corr))  # one that moves far has two peaks
-        first = np.argmax(np.where(aperture, still, -np.inf))
+        first = np.argmax(np.where(core, still, -np.inf))
         others &= ~own_pixels(still, first) & (still > OTHER_STAR * still.flat[first])
     return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum())
 

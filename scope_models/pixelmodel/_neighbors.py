@@ -44,7 +44,7 @@ _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
 _MOST_HITS = 0.05
 
 
-def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
+def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only=False):
     """
     Return shape, track, and the neighbors' light; None without any.
 
@@ -62,8 +62,10 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
         Cadences from which the shape is learned.
     known : KnownNeighbors or None
         Other stars; None: they are found.
-    places : ndarray of bool or None
-        Pixels in which they may be.
+    others : ndarray of bool
+        Pixels that are of other stars.
+    only : bool
+        Whether other stars are found in these pixels alone.
 
     Raises
     ------
@@ -71,12 +73,12 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
         If the model describes another star than the one at the peak.
     """
     n, pixels = len(flux), (flux[use], variance[use])
-    # a first guess without the light around known neighbors
-    theirs = False if known is None else known.nearer(peak, flux.shape[1:])
+    # a first guess without the light around known neighbors, or in pixels of others
+    theirs = known.nearer(peak, flux.shape[1:]) if known else others
     (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
     refit = _first_models(pixels[1], x[use], y[use], follow=not measured.any())
     shape, track = refit(pixels[0], theirs)
-    shape, track = find_neighbors(shape, track, *pixels, known, refit, places)
+    shape, track = find_neighbors(shape, track, *pixels, known, refit, others if only else None)
     if not len(shape.neighbors):
         return None
     shift = np.median(track.stacked[:, 1:3] - np.column_stack([x, y])[use], axis=0)
@@ -110,7 +112,7 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
     if known is None and not apart.all():  # the others were bumps of the PRF
         stars = np.median(part.stacked[:, 1:3], axis=0) + shape.neighbors[apart, 1:]
         known = KnownNeighbors(stars, None)
-        return fit_neighbors(time, flux, variance, pos_corr, peak, use, known, None)
+        return fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others)
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)

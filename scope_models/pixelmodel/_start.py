@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.stats import mad_std
 from scipy.optimize import lsq_linear
 
 from scope_models.exceptions import DetrendingWarning
@@ -71,36 +72,41 @@ def first_track(images, pos_corr, peak):
     Parameters
     ----------
     images : ndarray
-        ``(n, ny, nx)``, without background.
+        ``(n, ny, nx)``, without background; 0 where there is none.
     pos_corr : ndarray or None
         ``(n, 2)``; NaN where unknown.
     peak : tuple of float
         Column and row of the target in a typical cadence.
     """
-    n = len(images)
+    n, seen = len(images), images.any(axis=(1, 2))
     column, row = np.full(n, float(peak[0])), np.full(n, float(peak[1]))
+    offset = np.zeros((n, 2))
     if pos_corr is not None:
         known = np.isfinite(pos_corr).all(axis=1)
         if known.mean() > 0.5:
-            middle = np.median(pos_corr[known], axis=0)
-            offset = np.where(known[:, None], pos_corr - middle, 0.0)
+            offset[known] = pos_corr[known] - np.median(pos_corr[known], axis=0)
             x, y = centroids(images, column + offset[:, 0], row + offset[:, 1])
-            follows = _correlation(x[known], offset[known, 0], y[known], offset[known, 1])
-            if follows > 0.5:
-                seen = np.stack([x, y], axis=1)
-                place = np.median((seen - offset)[known], axis=0)
+            places, both = np.stack([x, y], axis=1), known & seen
+            if _followed(places[both], offset[both]) > 0.5:
+                place = np.median((places - offset)[both], axis=0)
                 return (place + offset).T, known
-    x, y = centroids(images, column, row)
-    return np.stack([x, y]), np.zeros(n, dtype=bool)
+    places = np.stack(centroids(images, column, row), axis=1)
+    # without images: what POS_CORR explains of the centers, and the rest as before and after
+    columns = np.column_stack([np.ones(n), offset])
+    explained = columns @ np.linalg.lstsq(columns[seen], places[seen], rcond=None)[0]
+    index = np.arange(n)
+    for one, part in zip(places.T, explained.T, strict=True):
+        rest = np.interp(index, index[seen], (one - part)[seen])
+        one[~seen] = (part + rest)[~seen]
+    return places.T, np.zeros(n, dtype=bool)
 
 
-def _correlation(x, a, y, b):
-    """Share of the centers' motion that follows the offsets, of both axes together."""
-    x, a, y, b = (values - values.mean() for values in (x, a, y, b))
-    whole = np.sum(x**2) + np.sum(y**2)
-    slope = (np.sum(x * a) + np.sum(y * b)) / max(np.sum(a**2) + np.sum(b**2), 1e-30)
-    rest = np.sum((x - slope * a) ** 2) + np.sum((y - slope * b) ** 2)
-    return 1 - rest / max(whole, 1e-30)
+def _followed(centers, offset):
+    """Return the share of the centers' motion, but for their noise, that offsets are."""
+    rest = centers - offset
+    noise = np.sum(mad_std(np.diff(rest, 2, axis=0), axis=0) ** 2) / 6
+    moved, left = (max(values.var(axis=0).sum() - noise, 0.0) for values in (centers, rest))
+    return 1 - left / max(moved, 1e-30)
 
 
 def fit_gaussians(u, v, values, weight):
@@ -356,7 +362,7 @@ def _settled(shape, track, flux, variance, found, refit):
     """
     star = np.array([np.median(track.x), np.median(track.y)])
     theirs = KnownNeighbors(star + found[:, 1:], None).nearer(star, flux.shape[1:])
-    change, images = np.inf, flux
+    change, images = np.full(found.shape, 1e6), flux
     for _ in range(_MOST_TURNS):
         old = track
         try:
@@ -367,8 +373,11 @@ def _settled(shape, track, flux, variance, found, refit):
         if np.abs(change).max() < _SETTLED:
             return *refit(images), found
         before, found = found, _measured(shape, track, flux, variance, found, move=True)
-        change = (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
-        images = flux - _light_of(shape, track, found)
+        last, change = change, (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
+        # less at a time where it goes to and fro
+        back = np.clip(-np.vdot(change, last) / np.vdot(last, last), 0, 1)
+        left = flux - _light_of(shape, track, found)
+        images = images + (left - images) / (1 + back)
     return None
 
 

@@ -2,6 +2,7 @@
 
 import tracemalloc
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,6 +105,35 @@ def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
     assert 0.5 < found.pull < 1.5
     remark = f"{100 * corrector.result.contamination:.1f} % of the light in the aperture was taken"
     assert remark in " ".join(corrector.result.remarks())
+
+
+@pytest.mark.parametrize(("magnitudes", "distance"), [(-0.05, 2.5), (-0.3, 3.0)])
+def test_a_neighbor_that_is_brighter(magnitudes, distance):
+    """The target is in the file's aperture, which does not hold the neighbor's peak."""
+    neighbors = ((magnitudes, distance, 0.0),)
+    variability = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.3}
+    sky = make_sky(SkyRegime("bright", neighbors=neighbors, **variability), 33, n_cadences=300)
+    light = np.nanmedian(sky.star_light, axis=0)
+    sky = replace(sky, aperture=light > 0.03 * light.max())
+    corrector = corrected(sky)
+    assert len(corrector.result.neighbors) == 1
+    found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
+    assert found.amplitude == pytest.approx(1, abs=0.003)  # 0.0014
+    assert found.full < 0.03 * raw.full
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_cadences_with_rolling_bands_beside_a_neighbor(seed):
+    """Their pixels say nothing of the motion, which goes on."""
+    sky = make_sky("k2-1x-rr-lyrae-neighbor", seed, n_cadences=300)
+    tpf = sky.to_tpf()
+    banded = (np.arange(300) >= 100) & (np.arange(300) < 160)
+    tpf.hdu[1].data["QUALITY"][banded] |= 131072
+    lc = PLDCorrector(tpf).correct()
+    kept = np.isin(sky.cadenceno, lc.cadenceno)
+    change = lc.flux.value / sky.true_flux[kept]
+    change = change / np.nanmedian(change) - 1
+    assert np.nanstd(change[banded[kept]]) < 8 * np.nanstd(change[~banded[kept]])
 
 
 @pytest.mark.parametrize(
