@@ -38,9 +38,9 @@ def checked_arrays(time, x, y, quality, cadenceno, time_format, pixel_scale=None
     x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
     quality = np.zeros(n, np.int32) if quality is None else quality
     number = np.arange(1, n + 1) if cadenceno is None else cadenceno
+    integers = {"quality": quality, "cadenceno": number}.items()
     quality, number = (
-        _checked_shape(np.array(checked_int32(name, value)), name, n)
-        for name, value in (("quality", quality), ("cadenceno", number))
+        _checked_shape(np.array(checked_int32(*item)), item[0], n) for item in integers
     )
     check_increasing(number, "cadenceno")
     return time, x, y, quality, number
@@ -58,16 +58,15 @@ def check_increasing(values, name):
     steps = np.flatnonzero(~(np.diff(values) > 0))
     if len(steps):
         i = steps[0] + 1
-        before, after = values[i - 1 : i + 1]
-        found = f"{after} after {before} at index {i}"
+        found = f"{values[i]} after {values[i - 1]} at index {i}"
         raise ValueError(f"`{name}` must increase strictly, got {found}")
 
 
 def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
     """Interpolate, drop or refuse unusable cadences, as `Motion.from_arrays`; count them."""
     checked_choice("bad", bad, ("interpolate", "drop", "error"))
-    given = time, x, y, quality, cadenceno
-    time, x, y, flags, number = checked_arrays(*given, time_format, pixel_scale)
+    given = time, x, y, quality, cadenceno, time_format, pixel_scale
+    time, x, y, flags, number = checked_arrays(*given)
     lost = ~usable_positions(np.column_stack([x, y]))
     timeless = ~np.isfinite(time)
     unusable = lost | timeless
@@ -173,11 +172,12 @@ class MotionStatistics(Value):
         MotionStatistics
             The statistics with mean, std, maximum and extent in arcsec.
         """
-        names = ("mean", "std", "maximum", "extent")
         if self.mean.unit == u.arcsec:
             return self
-        values = {name: getattr(self, name) * self.pixel_scale for name in names}
-        return self.replace(**{name: value.to(u.arcsec) for name, value in values.items()})
+        names = ("mean", "std", "maximum", "extent")
+        return self.replace(
+            **{n: (getattr(self, n) * self.pixel_scale).to(u.arcsec) for n in names}
+        )
 
     def to_table(self):
         """Return the statistics as a table of one row, to be stacked with others.

@@ -3,7 +3,6 @@
 Each class gives times, offsets and flagged cadences; `generate` makes series of them.
 """
 
-import math
 from dataclasses import asdict, dataclass
 from typing import ClassVar
 
@@ -25,7 +24,6 @@ __all__ = [
 _ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
 _SPEED_OF_LIGHT = 299792.458  # km/s
 _DAYS_PER_YEAR = 365.25
-_LOWEST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def first_time(start, time_format):
 
 def generate(pointing, n_cadences, days, start, seed, mission, **options):
     """Return the fields of the motion of a pointing, with this time between cadences."""
-    name = type(pointing).__name__
+    name, zero = type(pointing).__name__, mission.time_format
     seed = fresh_seed() if seed is None else check_seed(seed)
     streams = f"{pointing.stream_name or name} "
     time = pointing.times(checked_integer("n_cadences", n_cadences, 1), days)
@@ -70,9 +68,8 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
     for meaning, cadences in flags.items():
         quality[cadences] |= getattr(mission.quality, meaning)
     meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}, "seed": seed}
-    zero = mission.time_format
-    fields = {"time": first_time(start, zero) + time, "x": x, "y": y, "quality": quality}
-    return fields | {"meta": meta, "time_format": zero}
+    fields = {"x": x, "y": y, "quality": quality, "time_format": zero, "meta": meta}
+    return fields | {"time": first_time(start, zero) + time}
 
 
 def _due(time, interval, generator):
@@ -309,7 +306,7 @@ def _turbulence(generator, n):
     weights = np.where(frequency > 0, np.maximum(frequency, 1.0) ** (-5 / 6), 0.0)
     # Each frequency stands for two, but the highest of an even number.
     power = 2 * np.sum(weights**2) - (weights[-1] ** 2 if n % 2 == 0 else 0.0)
-    return np.fft.irfft(spectrum * weights, n) * np.sqrt(n / max(power, _LOWEST))
+    return np.fft.irfft(spectrum * weights, n) * np.sqrt(n / max(power, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -504,18 +501,15 @@ class K2Roll(Pointing):
         middle = (edges[:-1] + hours / 2) / 24
         # The field is larger by (v/c) cos(angle from the direction opposite to the velocity), which
         # goes through zero in the middle of a campaign; less its mean over the campaign.
-        angle_to_motion = 2 * math.pi / _DAYS_PER_YEAR * (middle - self.campaign / 2)
+        angle_to_motion = 2 * np.pi / _DAYS_PER_YEAR * (middle - self.campaign / 2)
         stretch = np.cos(angle_to_motion) - np.sinc(self.campaign / _DAYS_PER_YEAR)
         stretch *= self.orbital_speed / _SPEED_OF_LIGHT
         residual = streams("pointing").standard_normal((n_cadences, 2))
         residual *= self.pointing_jitter / self.pixel_scale
         x = stretch * arm_x - angle * arm_y + residual[:, 0]
         y = stretch * arm_y + angle * arm_x + residual[:, 1]
-        firing = np.zeros(n_cadences, dtype=bool)
-        for moment in (fired, fired + _FIRING):
-            index = np.floor(moment / hours).astype(int)
-            firing[index[(index >= 0) & (index < n_cadences)]] = True
-        return x, y, {"thruster_firing": firing}
+        n_fired, _ = np.histogram([fired, fired + _FIRING], edges)
+        return x, y, {"thruster_firing": n_fired > 0}
 
     def _sawtooth(self, edges, generator):
         """Return the mean roll angle per cadence in arcsec, and the times of firings in hours."""
@@ -526,7 +520,7 @@ class K2Roll(Pointing):
         moved = np.clip(self.reset_jitter * deviates[:, 0], -0.45 * interval, 0.45 * interval)
         times = first + interval * (np.arange(len(deviates)) - 1) + moved
         times[0] = min(times[0], 0.0)
-        frequency = math.pi / (24 * self.reversal_interval)
+        frequency = np.pi / (24 * self.reversal_interval)
         phase = frequency * (24 * self.reversal - times)
         state, fired = self._fire_thrusters(
             times, self.solar_rate * np.sin(phase), -self.solar_rate * frequency * np.cos(phase),
@@ -567,7 +561,7 @@ def cadence_means(times, state, edges):
 
 def _red_noise(generator, n, correlation):
     """Return normal noise of unit variance that forgets itself in ``correlation`` samples."""
-    length = math.ceil(_MEMORY * correlation)
+    length = int(np.ceil(_MEMORY * correlation))
     white = generator.standard_normal(n + length)
     if length == 0:
         return white
@@ -685,13 +679,10 @@ class K2FinalCampaign(Pointing):
         nominal_end = self.off_target_time + self.nominal_time
         last = time >= nominal_end
         correlation = self.erratic_time / (24 * K2Roll.cadence)
+        roll_size = self.erratic_roll / _ARCSEC_PER_RADIAN
         angle, dx, dy = (
-            size * last * correlated(streams(name), len(time), correlation)
-            for name, size in (
-                ("erratic roll", self.erratic_roll / _ARCSEC_PER_RADIAN),
-                ("erratic x", self.erratic),
-                ("erratic y", self.erratic),
-            )
+            size * last * correlated(streams(f"erratic {name}"), len(time), correlation)
+            for name, size in (("roll", roll_size), ("x", self.erratic), ("y", self.erratic))
         )
         direction = 2 * np.pi * streams("direction").random()
         dx += self.off_target * np.cos(direction) * first

@@ -41,14 +41,17 @@ _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
 _LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
-# What all generators have in common, from the cadence or the seed on.
-_CADENCE = "cadence : float or Quantity, optional\n    Time between cadences, {}.\n"
-_REST = """{cadence}seed : int or None, optional
+
+
+def _rest(kind, unit="", zero="BKJD", start="by default that of a campaign of the mission"):
+    """Return what the docstrings of all generators have in common, from cadence or seed on."""
+    cadence = f"cadence : float or Quantity, optional\n    Time between cadences, {unit}.\n"
+    return f"""{cadence if unit else ""}seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
 start : float, Quantity or Time, optional
     Time of the first cadence, {zero}; {start}.
 **parameters
-    Fields of {kind} that differ from their defaults.
+    Fields of `~scope_models.scene.motion.{kind}` that differ from their defaults.
 
 Returns
 -------
@@ -60,11 +63,6 @@ Raises
 TypeError, ValueError
     If an argument is of the wrong kind or out of its range.
 """
-
-
-def _rest(kind, unit="", zero="BKJD", start="by default that of a campaign of the mission"):
-    kind, cadence = f"`~scope_models.scene.motion.{kind}`", _CADENCE.format(unit) if unit else ""
-    return _REST.format(kind=kind, cadence=cadence, zero=zero, start=start)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
