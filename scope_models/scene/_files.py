@@ -172,9 +172,9 @@ def write_object(value, path, *, overwrite):
         described = {"version": _VERSION, "motion": _describe_motion(value)}
         blocks = truth_blocks(value.cadenceno, _motion_columns(value), {}, described, None)
     else:
-        columns = scene_columns(value, [s.relative_flux(value.motion.time) for s in value.stars])
-        given = columns, _maps(value.detector), describe_scene(value), None
-        blocks = truth_blocks(value.motion.cadenceno, *given)
+        motion, maps = value.motion, _maps(value.detector)
+        columns = scene_columns(value, [star.relative_flux(motion.time) for star in value.stars])
+        blocks = truth_blocks(motion.cadenceno, columns, maps, describe_scene(value), None)
     hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
@@ -235,10 +235,8 @@ def _describe_star(star):
 
 def scene_columns(scene, relative_flux):
     """Return the arrays of a scene, cadence by cadence, as columns of a table."""
-    columns = _motion_columns(scene.motion)
-    for i, signal in enumerate(relative_flux, start=1):
-        columns[f"SIGNAL{i}"] = signal
-    return columns
+    signals = {f"SIGNAL{i}": signal for i, signal in enumerate(relative_flux, start=1)}
+    return _motion_columns(scene.motion) | signals
 
 
 def _motion_columns(motion):
@@ -254,9 +252,8 @@ def _describe_motion(motion):
 
 
 def describe_effect(effect):
-    values = {item.name: getattr(effect, item.name) for item in fields(effect)}
-    parameters = {name: plain_tree(packed(value), str) for name, value in values.items()}
-    return {"class": type(effect).__name__, "parameters": parameters}
+    values = {item.name: packed(getattr(effect, item.name)) for item in fields(effect)}
+    return {"class": type(effect).__name__, "parameters": plain_tree(values, str)}
 
 
 def make_effect(described):
@@ -272,31 +269,22 @@ def _named_effect(name):
 def _describe_detector(detector):
     """Return the fields of a detector; the interpixel map is stored elsewhere."""
     described = {item.name: getattr(detector, item.name) for item in fields(detector)}
-    for name in ("sensitivity", "psf"):
-        described[name] = describe_model(described[name])
-    described["shape"] = list(detector.shape)
-    described["interpixel"] = detector.interpixel is not None
-    described["effects"] = [describe_effect(effect) for effect in detector.effects]
-    return described
+    described |= {name: describe_model(described[name]) for name in ("sensitivity", "psf")}
+    described |= {"shape": list(detector.shape), "interpixel": detector.interpixel is not None}
+    return described | {"effects": [describe_effect(effect) for effect in detector.effects]}
 
 
 def _detector(described, maps):
-    values = dict(described)
-    for name in ("sensitivity", "psf"):
-        values[name] = make_model(values[name])
-    values["shape"] = tuple(values["shape"])
-    values["interpixel"] = maps["INTERPIXEL"] if values["interpixel"] else None
-    values["effects"] = [make_effect(described) for described in values["effects"]]
-    return Detector(**values)
+    models = {name: make_model(described[name]) for name in ("sensitivity", "psf")}
+    effects = [make_effect(effect) for effect in described["effects"]]
+    interpixel = maps["INTERPIXEL"] if described["interpixel"] else None
+    return Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
 
 
 def _star(described, number, table):
-    signal = described["signal"] or None
-    if signal is not None:
-        is_model = isinstance(signal, dict)
-        signal = make_model(signal) if is_model else np.asarray(table[f"SIGNAL{number}"])
-    psf = make_model(described["psf"])
-    coord = make_coord(described.get("coord"))
+    is_array = described["signal"] is True
+    signal = table[f"SIGNAL{number}"] if is_array else make_model(described["signal"] or None)
+    psf, coord = make_model(described["psf"]), make_coord(described.get("coord"))
     return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
 
 
@@ -312,18 +300,17 @@ def _detector_of_toml(values):
         given = _named(values["effects"], "effects", "effect")
         values["effects"] = [_named_effect(name)(**parameters) for name, parameters in given]
     if "psf" in values:
-        values["psf"] = _combined(values["psf"], "psf", None, add)
-    given = values.get("sensitivity")
-    if given is False:
+        values["psf"] = _combined(values, "psf", add)
+    if values.get("sensitivity") is False:
         values["sensitivity"] = None
-    elif given is not None:
-        values["sensitivity"] = _combined(given, "sensitivity", "SensitivityPolynomial", mul)
+    elif "sensitivity" in values:
+        values["sensitivity"] = _combined(values, "sensitivity", mul, "SensitivityPolynomial")
     return Detector.preset(preset, **values) if preset else Detector(**values)
 
 
-def _combined(tables, name, default, combine):
+def _combined(values, name, combine, default=None):
     """Return the sum or the product of the models that tables describe."""
-    given = _named(tables, name, "model", default)
+    given = _named(values[name], name, "model", default)
     return reduce(combine, (make_model({"class": k, "parameters": p}) for k, p in given))
 
 

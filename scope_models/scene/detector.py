@@ -1,6 +1,6 @@
 """The detector: geometry, response and noise of the pixels."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -485,8 +485,8 @@ class Detector(Value):
         >>> type(observation.to_tpf()).__name__
         'TessTargetPixelFile'
         """
-        seen = seeing, pixel_scale, airmass, throughput
-        return cls(**(presets.ground_fields(aperture, altitude, band, *seen) | changes))
+        given = aperture, altitude, band, seeing, pixel_scale, airmass, throughput
+        return cls(**(presets.ground_fields(*given) | changes))
 
     @classmethod
     def from_tpf(cls, tpf, **changes):
@@ -661,7 +661,7 @@ class Detector(Value):
         Detector
             The control: no variation within a pixel, none between pixels.
         """
-        return replace(self, sensitivity=None, interpixel=None, interpixel_scatter=0.0)
+        return self.replace(sensitivity=None, interpixel=None, interpixel_scatter=0.0)
 
 
 def _of_cards(cards, mission):
@@ -672,8 +672,7 @@ def _of_cards(cards, mission):
         "mean_black": mission.black_keyword,
     }  # fmt: skip
     found = {name: cards.get(keyword) for name, keyword in keywords.items()}
-    for keyword in mission.offset_keywords:
-        found["fixed_offset"] = found.get("fixed_offset") or cards.get(keyword)
+    found["fixed_offset"] = next(filter(None, map(cards.get, mission.offset_keywords)), None)
     found = {
         name: int(value) if name in _INTEGERS else float(value)
         for name, value in found.items()

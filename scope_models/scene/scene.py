@@ -157,9 +157,8 @@ class Scene(Value):
         """Take the sky position of the target, and check those of all stars."""
         if self.matrix is not None:
             object.__setattr__(self, "matrix", checked_matrix(self.matrix))
-        target = self.stars[0].coord
-        if target is not None:
-            place = sky_place(target, _middle_year(self.motion))
+        if self.stars[0].coord is not None:
+            place = sky_place(self.stars[0].coord, _middle_year(self.motion))
             for name, value in zip(("ra", "dec"), place, strict=True):
                 given = getattr(self, name)
                 # A scene that is replaced has the place of another time.
@@ -356,5 +355,4 @@ def scene_facts(scene):
     x_0, y_0 = _places(scene)[0].tolist()
     facts = {"target_id": 1, "magnitude": scene.stars[0].mag, "x_0": x_0, "y_0": y_0}
     facts |= {"seed": scene.seed} | dict(scene.metadata)
-    identity = {name: getattr(scene, name) for name in _IDENTITY}
-    return facts | {name: value for name, value in identity.items() if value is not None}
+    return facts | {name: value for name, value in scene.options.items() if name in _IDENTITY}
