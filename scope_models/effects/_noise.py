@@ -189,8 +189,7 @@ def bleed(charge, well_depth, background=0.0):
     up_first, down_first = columns.copy(), columns
     for pixels, directions in ((up_first, (1, -1)), (down_first, (-1, 1))):
         for direction in directions:
-            turned = (values[:, ::direction] for values in (pixels, spilled, capacity))
-            _fill(*turned)
+            _fill(*(values[:, ::direction] for values in (pixels, spilled, capacity)))
     up_first += down_first
     up_first *= 0.5
     np.moveaxis(charge, -2, -1)[full] = up_first

@@ -365,8 +365,7 @@ def checked_series(effect, name, unit, low=None, high=np.inf):
 def number_of_events(generator, expected):
     """Return a Poisson number of events, which memory must hold."""
     if not expected <= _MOST_EVENTS:
-        message = f"`rate` makes {expected:.3g} events; at most {_MOST_EVENTS:g} are drawn"
-        raise ValueError(message)
+        raise ValueError(f"`rate` makes {expected:.3g} events; at most {_MOST_EVENTS:g} are drawn")
     return generator.poisson(expected)
 
 

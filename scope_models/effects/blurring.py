@@ -69,8 +69,7 @@ class Focus(Effect):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.events is not None:
-            object.__setattr__(self, "events", plain_time(self.events, None, "events"))
+        object.__setattr__(self, "events", plain_time(self.events, None, "events"))
         checked_series(self, "events", "day")
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
@@ -152,6 +151,5 @@ class Jitter(Effect):
         return Drawn(offsets | {"JITTER_BLUR": np.full(n, blur)})
 
     def exposures(self, drawn, conditions):
-        x, y = (drawn.columns[f"JITTER_{axis}"][:, np.newaxis] for axis in "XY")
-        blur = float(drawn.columns["JITTER_BLUR"][0])
-        return Exposures(x, y, np.ones(1), blur, self.nodes)
+        x, y, blur = (drawn.columns[f"JITTER_{name}"][:, np.newaxis] for name in ("X", "Y", "BLUR"))
+        return Exposures(x, y, np.ones(1), blur.item(0), self.nodes)

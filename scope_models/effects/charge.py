@@ -100,9 +100,8 @@ class DarkCurrent(Effect):
         return Drawn(maps={"DARKCURRENT": dark})
 
     def pedestal(self, drawn, conditions, part, electrons):
-        dark = drawn.maps["DARKCURRENT"]
+        dark, seconds = drawn.maps["DARKCURRENT"], conditions.exposure_time
         subtracted = self.level + (1 - self.residual) * (dark - self.level)
-        seconds = conditions.exposure_time
         return dark * seconds, subtracted * seconds
 
 
@@ -280,10 +279,7 @@ def _late(epsilon, transfers, n):
     number = (transfers + k)[:, np.newaxis]
     ratio = np.where(k == 0, 1.0, (number + k - 1) / np.maximum(k, 1) * epsilon)
     parts = np.cumprod(ratio, axis=1) * np.exp(xlog1py(number, -epsilon))
-    late = np.zeros((n, n))
-    for pixel in k:
-        late[pixel:, pixel] = parts[pixel, : n - pixel]
-    return late
+    return np.tril(parts[k, np.subtract.outer(k, k)])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -350,16 +346,13 @@ class RollingBands(Effect):
 
     def _waves(self, episodes, time):
         """Return the complex amplitude of each episode at row 0, (n_episodes, n_cadences)."""
-        at, amplitude, phase = (values[:, np.newaxis] for values in episodes.values())
-        since = time - at
+        start, amplitude, phase = (values[:, np.newaxis] for values in episodes.values())
+        since = time - start
         size = amplitude * np.exp(-((since / self.duration) ** 2) / 2)
         return size * np.exp(2j * np.pi * (phase - self.speed * since / self.spacing))
 
     def readout(self, drawn, conditions, part, electrons):
-        episodes = drawn.tables["ROLLINGBANDS"]
-        if not len(episodes["TIME"]):
-            return
-        wave = self._waves(episodes, conditions.time[part]).sum(axis=0)
+        wave = self._waves(drawn.tables["ROLLINGBANDS"], conditions.time[part]).sum(axis=0)
         rows = np.exp(2j * np.pi * np.arange(electrons.shape[1]) / self.spacing)
         bands = conditions.exposure_time * np.multiply.outer(wave, rows).imag
         electrons += bands[:, :, np.newaxis]

@@ -93,11 +93,9 @@ class CosmicRays(Effect):
         length = np.minimum(depth * tangent, self.longest)
         # The mean path over the depth, with tracks that are cut.
         mean = 2 - 1 / np.hypot(1, self.longest / depth)
-        electrons = self.electrons / mean * np.hypot(1, length / depth)
-        names = ("CADENCE", "X", "Y", "LENGTH", "ANGLE", "ELECTRONS")
-        hits = dict(zip(names, (cadence, x, y, length, angle, electrons), strict=True))
-        hit, *_ = _deposits(hits, conditions.shape)
-        seen = np.unique(hit)
+        hits = {"CADENCE": cadence, "X": x, "Y": y, "LENGTH": length, "ANGLE": angle}
+        hits["ELECTRONS"] = self.electrons / mean * np.hypot(1, length / depth)
+        seen = np.unique(_deposits(hits, conditions.shape)[0])
         return Drawn(tables={"COSMICRAYS": {name: values[seen] for name, values in hits.items()}})
 
     def charge(self, drawn, conditions, part, electrons):
@@ -114,8 +112,7 @@ class CosmicRays(Effect):
         charge = np.bincount(entry.ravel(), charge, minlength=keys.shape[1])
         place = tuple(keys[1:])
         light = np.maximum(electrons[place] / conditions.n_reads, 0.0)
-        sigma = np.sqrt(light + conditions.read_noise**2)
-        sigma = np.maximum(sigma, 1e-6)
+        sigma = np.maximum(np.sqrt(light + conditions.read_noise**2), 1e-6)
         np.add.at(electrons, place, sigma * rejected_shift(charge / sigma))
 
 

@@ -114,8 +114,7 @@ class SensitivityDropouts(Effect):
 
     def draw(self, conditions, generator):
         (ny, nx), n_cadences = conditions.shape, len(conditions.time)
-        expected = self.rate * ny * nx * n_cadences * conditions.cadence_days
-        n = number_of_events(generator, expected)
+        n = number_of_events(generator, self.rate * ny * nx * n_cadences * conditions.cadence_days)
         events = {
             "CADENCE": np.sort(generator.integers(n_cadences, size=n)),
             "ROW": generator.integers(ny, size=n),
@@ -125,9 +124,8 @@ class SensitivityDropouts(Effect):
         return Drawn(tables={"SENSITIVITYDROPOUTS": events})
 
     def response(self, drawn, conditions, part):
-        time = conditions.time[part]
+        time, events = conditions.time[part], drawn.tables["SENSITIVITYDROPOUTS"]
         factor = np.ones((len(time), *conditions.shape))
-        events = drawn.tables["SENSITIVITYDROPOUTS"]
         for cadence, row, column, depth in zip(*events.values(), strict=True):
             since = np.maximum(time - conditions.time[cadence], 0.0)
             lasting = 1 - self.recovery + self.recovery * np.exp(-since / self.recovery_time)
@@ -135,8 +133,7 @@ class SensitivityDropouts(Effect):
         return factor
 
     def quality(self, drawn, conditions):
-        flags = np.zeros(len(conditions.time), dtype=int)
-        events = drawn.tables["SENSITIVITYDROPOUTS"]
+        flags, events = np.zeros(len(conditions.time), int), drawn.tables["SENSITIVITYDROPOUTS"]
         flags[events["CADENCE"]] = conditions.bit("sensitivity_dropout")
         return flags
 

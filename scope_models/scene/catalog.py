@@ -1,6 +1,7 @@
 """Stars of catalogs: their places on the sky, proper motions, and faint stars between them."""
 
 import warnings
+from functools import cache
 
 import astropy.units as u
 import numpy as np
@@ -30,6 +31,7 @@ _MAGNITUDES = {
 }
 _ANY_MAGNITUDE = ("mag", "magnitude", "phot_g_mean_mag", "gmag")
 _FARTHEST = 200.0  # px beyond the stamp
+_MARGIN = 20  # px about the stamp in which faint stars are drawn
 # A star outside matters if it adds this part of a dark pixel's noise to any pixel.
 _LEAST_NOISE = 0.01
 _PSF_BLOCK = 64  # px in which the PSF is taken as the same
@@ -129,26 +131,27 @@ def place_stars(base, places, mags, others, magnitude_limit, background_stars, p
         used &= mags <= plain_number(magnitude_limit, u.mag, "magnitude_limit")
     drawn = _draw(base, background_stars, mags[used])
     x, y, mags = (np.append(a[used], b) for a, b in zip((x, y, mags), drawn, strict=True))
-    stars = [base.stars[0]]
-    if psf:
-        stars = [stars[0].replace(psf=_psf_at(psf, base, *base.positions[0]))]
-    kept = _lighting(base, x, y, mags, stars[0].psf or base.detector.psf)
-    made = {}
-    for star in zip(mags[kept], x[kept], y[kept], strict=True):
-        block = tuple(_PSF_BLOCK * (value // _PSF_BLOCK + 0.5) for value in star[1:])
-        if psf is not None and block not in made:
-            made[block] = _psf_at(psf, base, *block)
-        stars.append(Star(*star, psf=made.get(block)))
-    return stars
+
+    @cache
+    def psf_at(x, y):
+        column = TPFMetadata.column if base.column is None else base.column
+        row = TPFMetadata.row if base.row is None else base.row
+        at = psf.at if isinstance(psf, PRFGrid) else psf
+        return None if at is None else at(column + x, row + y)
+
+    target = base.stars[0]
+    target = target.replace(psf=psf_at(*base.positions[0])) if psf else target
+    kept = _lighting(base, x, y, mags, target.psf or base.detector.psf)
+    blocks = _PSF_BLOCK * (np.column_stack([x, y])[kept] // _PSF_BLOCK + 0.5)
+    found = zip(mags[kept], x[kept], y[kept], blocks, strict=True)
+    return [target, *(Star(*star, psf=psf_at(*block)) for *star, block in found)]
 
 
 def _column(table, names, unit):
     """Return the values of the first column of some names, or None."""
     known = {name.lower(): name for name in table.colnames}
-    for name in names:
-        if name in known:
-            return plain_array(table[known[name]], unit, f"table[{known[name]!r}]")
-    return None
+    name = next((known[name] for name in names if name in known), None)
+    return None if name is None else plain_array(table[name], unit, f"table[{name!r}]")
 
 
 def read_catalog(table, mission, magnitude, ref_epoch, year):
@@ -185,9 +188,9 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
     epoch = _column(table, _EPOCH, u.yr) if ref_epoch is None else ref_epoch
     if epoch is None or not np.all(np.isfinite(epoch)):
         raise ValueError("`ref_epoch` must be given: `table` has proper motions, but no epoch")
-    since = year - epoch
-    offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
-    return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
+    since = np.broadcast_to(year - epoch, good.shape)[good]
+    offsets = (np.nan_to_num(m[good]) * since * u.mas for m in motions)
+    return places.spherical_offsets_by(*offsets), mags[good]
 
 
 def _draw(base, faintest, mags):
@@ -198,13 +201,12 @@ def _draw(base, faintest, mags):
     generator = np.random.default_rng([base.seed or 0, 1])
     grid = np.linspace(min(max(mags, default=_BRIGHTEST), faintest), faintest, 200)
     counts = star_counts(grid, SkyCoord(base.ra, base.dec, unit=u.deg))
-    ny, nx = base.detector.shape
-    margin = 20
-    area = (nx + 2 * margin) * (ny + 2 * margin) * (base.detector.pixel_scale / 3600) ** 2
+    ny, nx = (n + 2 * _MARGIN for n in base.detector.shape)
+    area = nx * ny * (base.detector.pixel_scale / 3600) ** 2
     n = generator.poisson(area * (counts[-1] - counts[0]))
     u_mag, u_x, u_y = generator.random((n, 3)).T
     drawn = np.interp(counts[0] + u_mag * (counts[-1] - counts[0]), counts, grid)
-    return u_x * (nx + 2 * margin) - margin - 0.5, u_y * (ny + 2 * margin) - margin - 0.5, drawn
+    return u_x * nx - _MARGIN - 0.5, u_y * ny - _MARGIN - 0.5, drawn
 
 
 def _lighting(base, x, y, mags, model):
@@ -225,10 +227,3 @@ def _lighting(base, x, y, mags, model):
         brightest = unit_images(model, detector.shape, *at).max(axis=(1, 2), initial=0.0)
         kept[part] = brightest * detector.flux_from_mag(mags[part]) > least
     return kept
-
-
-def _psf_at(psf, base, x, y):
-    column = TPFMetadata.column if base.column is None else base.column
-    row = TPFMetadata.row if base.row is None else base.row
-    at = psf.at if isinstance(psf, PRFGrid) else psf
-    return at(column + x, row + y)
