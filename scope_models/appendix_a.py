@@ -197,10 +197,9 @@ class Target:
 
     @property
     def _noise_free(self):
-        alone = self.scene.replace(stars=self.star, noise=False)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", sm.exceptions.LostLightWarning)  # it has warned
-            return self._simulated(alone).flux
+            return self._simulated(self.scene.replace(stars=self.star, noise=False)).flux
 
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
         """Let a planet on a circular orbit transit the star.

@@ -322,13 +322,13 @@ def choose_cadence(cadences, frame_time, choice=None):
     """Return the cadence of a name or of a length, s, within 3 %; None is the first one."""
     if choice is None and cadences:
         return cadences[0]
-    wanted = choice if isinstance(choice, str) else plain_number(choice, "s", "cadence")
+    is_name = isinstance(choice, str)
+    wanted = choice if is_name else plain_number(choice, "s", "cadence")
     frame_time = plain_number(frame_time, "s", "frame_time")
     for item in cadences:
         length = item.n_frames * frame_time
-        if wanted == item.name or (
-            not isinstance(wanted, str) and math.isclose(wanted, length, rel_tol=_CADENCE_TOLERANCE)
-        ):
+        is_close = not is_name and math.isclose(wanted, length, rel_tol=_CADENCE_TOLERANCE)
+        if is_close or wanted == item.name:
             return item
     known = ", ".join(f"{item.name!r} ({item.n_frames * frame_time:.6g} s)" for item in cadences)
     raise ValueError(f"`cadence` must be one of {known or 'none'}, got {choice!r}")

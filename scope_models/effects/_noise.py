@@ -64,8 +64,7 @@ def noise_terms(noise):
 
 def stream(seed, name):
     """Return the random generator of one named effect, independent of all others."""
-    key = zlib.crc32(name.encode())
-    sequence = np.random.SeedSequence(check_seed(seed), spawn_key=(key,))
+    sequence = np.random.SeedSequence(check_seed(seed), spawn_key=(zlib.crc32(name.encode()),))
     return np.random.Generator(np.random.SFC64(sequence))
 
 

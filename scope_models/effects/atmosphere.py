@@ -157,8 +157,7 @@ class AirEffect(Effect):
 def _red_noise(generator, time, correlation_time):
     """Return a Gauss-Markov process of unit variance at any times."""
     values = generator.standard_normal(len(time))
-    kept = np.exp(-np.diff(time) / correlation_time)
-    for i, part in enumerate(kept, start=1):
+    for i, part in enumerate(np.exp(-np.diff(time) / correlation_time), start=1):
         values[i] = part * values[i - 1] + np.sqrt(1 - part**2) * values[i]
     return values
 

@@ -165,7 +165,7 @@ class ScatteredLight(SkyEffect):
         if self.flag_above is None:
             return None
         strong = drawn.columns["SCATTEREDLIGHT"] > self.flag_above
-        return np.where(strong, conditions.bit("scattered_light"), 0)
+        return conditions.bit("scattered_light") * strong
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -214,8 +214,7 @@ class Argabrightening(SkyEffect):
         return self._drawn(conditions, np.where(flash, self.brightness * brightness, 0.0))
 
     def quality(self, drawn, conditions):
-        bit = conditions.bit("argabrightening")
-        return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)
+        return conditions.bit("argabrightening") * (drawn.columns["ARGABRIGHTENING"] > 0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -208,8 +208,7 @@ class Undershoot(Effect):
     @staticmethod
     def _feed(electrons, part, left):
         """Add a part of each pixel to those after it, times ``left`` for each further one."""
-        above = electrons - electrons[..., :1]
-        electrons += lfilter([0.0, part], [1.0, -left], above, axis=-1)
+        electrons += lfilter([0.0, part], [1.0, -left], electrons - electrons[..., :1], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -358,5 +357,4 @@ class RollingBands(Effect):
         electrons += bands[:, :, np.newaxis]
 
     def quality(self, drawn, conditions):
-        strong = drawn.columns["ROLLINGBANDS"] > self.amplitude / 2
-        return np.where(strong, conditions.bit("rolling_band"), 0)
+        return conditions.bit("rolling_band") * (drawn.columns["ROLLINGBANDS"] > self.amplitude / 2)

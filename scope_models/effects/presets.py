@@ -42,8 +42,7 @@ def mission_effects(detector):
     False
     """
     if detector.mission == "TESS":
-        rejection = detector.live_fraction < 1
-        return CosmicRays(pixel_size=15.0, rejection=rejection), ScatteredLight()
+        return CosmicRays(pixel_size=15.0, rejection=detector.live_fraction < 1), ScatteredLight()
     photometer = CosmicRays(), Smear(), Undershoot(), RollingBands()
     if detector.mission == "K2":
         return Focus(0.005, period=160.0, phase=0.0), *photometer

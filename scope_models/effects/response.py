@@ -189,4 +189,4 @@ class Gaps(Effect):
 
     def quality(self, drawn, conditions):
         bit = conditions.bit("no_data") or conditions.bit("manual_exclude")
-        return np.where(drawn.columns["GAPS"] > 0, bit, 0)
+        return bit * self.missing(drawn, conditions)

@@ -115,14 +115,11 @@ class PixelShares(Effect):
 
 def polynomial_terms(degree, time_degree):
     """Return the degrees i, j, k of the terms, lowest first, ``(k, 3)``."""
-    return np.array(
-        [
-            (i, n - i, k)
-            for k in range(time_degree + 1)
-            for n in range((min(degree, _SLOW_DEGREE) if k else degree) + 1)
-            for i in range(n + 1)
-        ]
-    )
+    terms = []
+    for k in range(time_degree + 1):
+        for n in range((min(degree, _SLOW_DEGREE) if k else degree) + 1):
+            terms += [(i, n - i, k) for i in range(n + 1)]
+    return np.array(terms)
 
 
 def scaled_to(values, limits):

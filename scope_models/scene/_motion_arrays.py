@@ -38,10 +38,8 @@ def checked_arrays(time, x, y, quality, cadenceno, time_format, pixel_scale=None
     x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
     quality = np.zeros(n, np.int32) if quality is None else quality
     number = np.arange(1, n + 1) if cadenceno is None else cadenceno
-    integers = {"quality": quality, "cadenceno": number}.items()
-    quality, number = (
-        _checked_shape(np.array(checked_int32(*item)), item[0], n) for item in integers
-    )
+    quality = _checked_shape(np.array(checked_int32("quality", quality)), "quality", n)
+    number = _checked_shape(np.array(checked_int32("cadenceno", number)), "cadenceno", n)
     check_increasing(number, "cadenceno")
     return time, x, y, quality, number
 
@@ -175,9 +173,8 @@ class MotionStatistics(Value):
         if self.mean.unit == u.arcsec:
             return self
         names = ("mean", "std", "maximum", "extent")
-        return self.replace(
-            **{n: (getattr(self, n) * self.pixel_scale).to(u.arcsec) for n in names}
-        )
+        angles = {name: getattr(self, name) * self.pixel_scale for name in names}
+        return self.replace(**{name: angle.to(u.arcsec) for name, angle in angles.items()})
 
     def to_table(self):
         """Return the statistics as a table of one row, to be stacked with others.

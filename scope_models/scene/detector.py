@@ -6,15 +6,9 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from scope_models import _checks
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
-from scope_models._checks import (
-    check_fields,
-    checked_choice,
-    checked_model,
-    checked_shape,
-    integer,
-    number,
-)
+from scope_models._checks import integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
 from scope_models.effects._noise import stream
@@ -32,7 +26,7 @@ __all__ = ["ZERO_POINTS", "Detector"]
 
 #: Zero points of the missions, by name.
 ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.items()}
-_DISTRIBUTIONS = ("uniform", "normal")
+_DRAWN = ("uniform", "normal")
 _RATE = u.electron / u.s
 _INTEGERS = ("n_frames", "mean_black", "fixed_offset")
 _OF_CADENCE = ("n_frames", "live_fraction", "fixed_offset")
@@ -164,7 +158,7 @@ class Detector(Value):
 
     def __post_init__(self):
         put = object.__setattr__
-        put(self, "shape", checked_shape(self.shape))
+        put(self, "shape", _checks.checked_shape(self.shape))
         if not isinstance(self.mission, str):
             raise TypeError(f"`mission` must be a string, got {self.mission!r}")
         if isinstance(self.zero_point, str):
@@ -173,10 +167,10 @@ class Detector(Value):
                 wanted = f"a number or one of {list(known)} for {self.mission}"
                 raise ValueError(f"`zero_point` must be {wanted}, got {self.zero_point!r}")
             put(self, "zero_point", known[self.zero_point])
-        check_fields(self)
-        checked_choice("interpixel_distribution", self.interpixel_distribution, _DISTRIBUTIONS)
+        _checks.check_fields(self)
+        _checks.checked_choice("interpixel_distribution", self.interpixel_distribution, _DRAWN)
         for name in ("sensitivity", "psf"):
-            model = checked_model(name, getattr(self, name))
+            model = _checks.checked_model(name, getattr(self, name))
             put(self, name, model_in_pixels(model, self.pixel_scale))
         # Whatever cannot be integrated over pixels fails here rather than in a simulation.
         if self.psf is not None:

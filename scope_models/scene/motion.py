@@ -806,8 +806,6 @@ def _shifted(motion, before):
     """Return the motion shifted in time to begin one cadence after another one."""
     steps = np.diff(before.time) if len(before) > 1 else np.diff(motion.time)
     step = np.median(steps) if len(steps) else _LONG
-    number = motion.cadenceno.astype(np.int64)
-    return motion.replace(
-        time=motion.time - motion.time[0] + (before.time[-1] + step),
-        cadenceno=number - number[0] + (before.cadenceno[-1] + 1),
-    )
+    time = motion.time - motion.time[0] + (before.time[-1] + step)
+    number = motion.cadenceno.astype(np.int64) - motion.cadenceno[0] + (before.cadenceno[-1] + 1)
+    return motion.replace(time=time, cadenceno=number)

@@ -130,13 +130,10 @@ class Band(Value):
 
 
 #: Bands by name. Fluxes and widths: Bessell (1979); sky and extinction: Paranal (Patat 2003).
-BANDS = MappingProxyType(
-    {
-        "V": Band(3640.0, 0.16, 21.6, 0.11),
-        "R": Band(3080.0, 0.23, 20.9, 0.07),
-        "I": Band(2550.0, 0.19, 19.7, 0.05),
-    }
-)
+BANDS = MappingProxyType({
+    "V": Band(3640.0, 0.16, 21.6, 0.11), "R": Band(3080.0, 0.23, 20.9, 0.07),
+    "I": Band(2550.0, 0.19, 19.7, 0.05),
+})  # fmt: skip
 _PHOTONS = 1.51e7  # per s, m2 and relative width of the band, of 1 Jy
 
 
