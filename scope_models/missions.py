@@ -13,8 +13,6 @@ __all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
 
 # A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
 _CADENCE_TOLERANCE = 0.03
-# Depth of the shallowest wells over the median.
-_FULL_FRACTION = 0.877
 
 
 @dataclass(frozen=True)
@@ -315,7 +313,7 @@ def full_flux(well_depth, int_time, background=0.0):
     84 channels are full at 0.877 of the median (0.947e6 of 1.08e6 electrons, KSCI-19033, table
     13). For other missions that is an assumption.
     """
-    return _FULL_FRACTION * well_depth / int_time - background
+    return 0.877 * well_depth / int_time - background
 
 
 def choose_cadence(cadences, frame_time, choice=None):

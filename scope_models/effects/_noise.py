@@ -55,8 +55,7 @@ def noise_terms(noise):
     if not isinstance(noise, Iterable):
         raise TypeError(f"`noise` must be True, False or names of noise terms, got {noise!r}")
     terms = frozenset(noise)
-    unknown = sorted(str(term) for term in terms - set(NOISE_TERMS))
-    if unknown:
+    if unknown := sorted(map(str, terms.difference(NOISE_TERMS))):
         known = ", ".join(NOISE_TERMS)
         raise ValueError(f"`noise` must hold names out of {known}, got {', '.join(unknown)}")
     return terms

@@ -3,7 +3,7 @@
 import tomllib
 from contextlib import suppress
 from dataclasses import fields
-from functools import partial, reduce
+from functools import reduce
 from operator import add, mul
 from pathlib import Path
 
@@ -41,8 +41,6 @@ __all__ = [
 ]  # fmt: skip
 
 _VERSION = 3
-# Columns of a motion that depends on the place.
-_OF_COMMON = *CommonMotion.offsets_of[2:], *CommonMotion.errors_of
 # Fields that files of version 2 lack, and whose effect was another then.
 _OLD_FIELDS = {"Undershoot": {"residual": 1.0}}
 
@@ -198,12 +196,13 @@ def _made(path, described, what, make):
 
 def _motion(truth):
     table, described = truth.columns, truth.scene["motion"]
-    more = {name: table[name.upper()] for name in _OF_COMMON if "place" in described}
-    kind = partial(CommonMotion, place=described["place"], **more) if more else Motion
+    place = {"place": described["place"]} if "place" in described else {}
+    kind = CommonMotion if place else Motion
     return kind(
         time=table["TIME"], x=table["MOTION_X"], y=table["MOTION_Y"],
         quality=np.asarray(table["QUALITY"], dtype=np.int32), cadenceno=table["CADENCENO"],
         time_format=described["time_format"], meta=described["meta"],
+        **place, **{name: table[name.upper()] for name in (*kind.offsets_of[2:], *kind.errors_of)},
     )  # fmt: skip
 
 
@@ -242,8 +241,8 @@ def scene_columns(scene, relative_flux):
 def _motion_columns(motion):
     columns = {"TIME": motion.time, "QUALITY": motion.quality}
     columns |= {"MOTION_X": motion.x, "MOTION_Y": motion.y}
-    common = _OF_COMMON if isinstance(motion, CommonMotion) else ()
-    return columns | {name.upper(): getattr(motion, name) for name in common}
+    names = (*motion.offsets_of[2:], *motion.errors_of)
+    return columns | {name.upper(): getattr(motion, name) for name in names}
 
 
 def _describe_motion(motion):

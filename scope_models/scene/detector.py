@@ -28,8 +28,6 @@ __all__ = ["ZERO_POINTS", "Detector"]
 ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.items()}
 _DRAWN = ("uniform", "normal")
 _RATE = u.electron / u.s
-_INTEGERS = ("n_frames", "mean_black", "fixed_offset")
-_OF_CADENCE = ("n_frames", "live_fraction", "fixed_offset")
 
 # Parts of the docstrings of the presets.
 _CHANGES = """**changes
@@ -241,7 +239,8 @@ class Detector(Value):
         if cadence is not None or found.cadences:
             frame_time = fields["int_time"] + fields.get("read_time", 0.0)
             item = choose_cadence(found.cadences, frame_time, cadence)
-            fields |= {name: getattr(item, name) for name in _OF_CADENCE}
+            of_cadence = ("n_frames", "live_fraction", "fixed_offset")
+            fields |= {name: getattr(item, name) for name in of_cadence}
         return cls(**(fields | changes))
 
     @classmethod
@@ -668,7 +667,7 @@ def _of_cards(cards, mission):
     found = {name: cards.get(keyword) for name, keyword in keywords.items()}
     found["fixed_offset"] = next(filter(None, map(cards.get, mission.offset_keywords)), None)
     found = {
-        name: int(value) if name in _INTEGERS else float(value)
+        name: int(value) if name in {"n_frames", "mean_black", "fixed_offset"} else float(value)
         for name, value in found.items()
         if isinstance(value, int | float) and not isinstance(value, bool) and value > 0
     }
