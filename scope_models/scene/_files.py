@@ -196,13 +196,11 @@ def _made(path, described, what, make):
 
 def _motion(truth):
     table, described = truth.columns, truth.scene["motion"]
-    place = {"place": described["place"]} if "place" in described else {}
-    kind = CommonMotion if place else Motion
+    kind = CommonMotion if "place" in described else Motion
+    further = {n: table[n.upper()] for n in (*kind.offsets_of[2:], *kind.errors_of)}
     return kind(
-        time=table["TIME"], x=table["MOTION_X"], y=table["MOTION_Y"],
-        quality=np.asarray(table["QUALITY"], dtype=np.int32), cadenceno=table["CADENCENO"],
-        time_format=described["time_format"], meta=described["meta"],
-        **place, **{name: table[name.upper()] for name in (*kind.offsets_of[2:], *kind.errors_of)},
+        table["TIME"], table["MOTION_X"], table["MOTION_Y"], table["QUALITY"].astype(np.int32),
+        table["CADENCENO"], **described, **further,
     )  # fmt: skip
 
 

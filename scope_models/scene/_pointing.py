@@ -74,8 +74,7 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
 
 def _due(time, interval, generator):
     """Return the first cadence at or after each recurrence of an event, in days."""
-    phase = generator.random() * interval
-    number = np.floor((time - time[0] + phase) / interval)
+    number = np.floor((time - time[0] + generator.random() * interval) / interval)
     return np.diff(number, prepend=number[0]) > 0
 
 
@@ -302,8 +301,7 @@ class GroundTracking(Pointing):
 def _turbulence(generator, n):
     """Return noise of unit variance with the power spectrum f^(-5/3)."""
     spectrum = np.fft.rfft(generator.standard_normal(n))
-    frequency = np.arange(len(spectrum), dtype=float)
-    weights = np.where(frequency > 0, np.maximum(frequency, 1.0) ** (-5 / 6), 0.0)
+    weights = np.append(0.0, np.arange(1.0, len(spectrum)) ** (-5 / 6))
     # Each frequency stands for two, but the highest of an even number.
     power = 2 * np.sum(weights**2) - (weights[-1] ** 2 if n % 2 == 0 else 0.0)
     return np.fft.irfft(spectrum * weights, n) * np.sqrt(n / max(power, 1e-300))
@@ -485,9 +483,9 @@ class K2Roll(Pointing):
     campaign: float = number(80.0, u.day, positive=True)
     pixel_scale: float = number(3.98, u.arcsec, positive=True, equivalencies=PER_PIXEL)
 
+    stream_name: ClassVar[str] = "k2_roll"
     # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
     # jitters are measured at this cadence.
-    stream_name: ClassVar[str] = "k2_roll"
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
 
     def track(self, time, streams):
@@ -563,9 +561,7 @@ def _red_noise(generator, n, correlation):
     """Return normal noise of unit variance that forgets itself in ``correlation`` samples."""
     length = int(np.ceil(_MEMORY * correlation))
     white = generator.standard_normal(n + length)
-    if length == 0:
-        return white
-    kernel = np.exp(-np.arange(length + 1) / correlation)
+    kernel = np.exp(-np.arange(length + 1) / (correlation or 1.0))
     return np.convolve(white, kernel / np.sqrt(np.sum(kernel**2)), mode="valid")
 
 
@@ -688,10 +684,9 @@ class K2FinalCampaign(Pointing):
         dx += self.off_target * np.cos(direction) * first
         dy += self.off_target * np.sin(direction) * first
         arm_x, arm_y = (3600 * degrees / roll.pixel_scale for degrees in self.field)
-        lost = first | (time >= nominal_end + self.erratic_length)
         flags |= {
             "coarse_point": first | (np.hypot(dx, dy) + _EDGE * np.abs(angle) > _HALO),
-            "no_fine_point": lost,
+            "no_fine_point": first | (time >= nominal_end + self.erratic_length),
             "desaturation": _due(time, _DUMPS, streams("dumps")),
         }
         return x + dx - angle * arm_y, y + dy + angle * arm_x, flags
