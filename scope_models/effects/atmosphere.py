@@ -134,11 +134,9 @@ def moon_geometry(time, coord, location):
     sun_side = (sun.distance / moon.distance).to_value(u.one)
     phase = np.arctan2(sun_side * np.sin(elongation), 1 - sun_side * np.cos(elongation))
     # The observatory is up to an Earth's radius from the center: a degree of parallax.
-    sidereal = np.radians(sidereal_time(days, location))
-    radius, east = np.hypot(location.x, location.y), location.lon.rad + sidereal
-    height = np.full(days.shape, location.z.to_value(u.m)) * u.m
-    place = radius * np.cos(east), radius * np.sin(east), height
-    observatory = coordinates.CartesianRepresentation(*place)
+    east = (location.lon.rad + np.radians(sidereal_time(days, location))) * u.rad
+    place = np.hypot(location.x, location.y), east, location.z
+    observatory = coordinates.CylindricalRepresentation(*place).to_cartesian()
     center = of_date(coordinates.SkyCoord(moon.ra, moon.dec, moon.distance), days[0])
     seen = coordinates.SkyCoord(center.cartesian - observatory, frame=star)
     return {

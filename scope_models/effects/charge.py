@@ -148,8 +148,7 @@ class BrighterFatter(Effect):
     full_well: float = number(1.08e6, "electron", positive=True)
 
     def charge(self, drawn, conditions, part, electrons):
-        factor = self.coefficient / (2 * self.full_well * conditions.n_reads)
-        squares = factor * electrons**2
+        squares = self.coefficient / (2 * self.full_well * conditions.n_reads) * electrons**2
         for axis in (1, 2):
             moved = -np.diff(squares, axis=axis).swapaxes(1, axis)
             pixels = electrons.swapaxes(1, axis)
