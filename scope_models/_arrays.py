@@ -109,10 +109,8 @@ def plain_time(value, time_format, name):
     if isinstance(value, Time):
         if time_format is None:
             raise TypeError(f"`{name}` must be in days since an epoch of your own, got a Time")
-        mask = np.broadcast_to(getattr(value, "mask", False), value.shape)
-        plain = value.unmasked if hasattr(value, "unmasked") else value
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
-        return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
+        return np.where(value.mask, np.nan, (value.unmasked.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
     if np.any(np.isfinite(days) & (days > LARGEST_DAY)):
         zero = TIME_ZEROS.get(time_format)

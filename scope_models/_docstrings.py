@@ -4,11 +4,15 @@ import inspect
 
 __all__ = ["documented"]
 
-_PATH = """path : str or path-like
+# The first ones are made of those after them.
+_SHARED = {
+    "write": "{path}\n\n{written}",
+    "draw": "{ax}\n\n{axes}",
+    "path": """path : str or path-like
     The file; compressed if the name ends in .gz.
 overwrite : bool, optional
-    Whether a file that exists is replaced."""
-_WRITTEN = """Returns
+    Whether a file that exists is replaced.""",
+    "written": """Returns
 -------
 pathlib.Path
     The file.
@@ -17,28 +21,20 @@ Raises
 ------
 OSError
     If the file exists and is not to be replaced, or cannot be written; what was there before is
-    still there."""
-_AX = """ax : matplotlib.axes.Axes, optional
-    Where to draw; a new figure by default."""
-_AXES = """Returns
+    still there.""",
+    "ax": """ax : matplotlib.axes.Axes, optional
+    Where to draw; a new figure by default.""",
+    "axes": """Returns
 -------
 matplotlib.axes.Axes
-    The Axes."""
-_THREE = """axes : sequence of matplotlib.axes.Axes, optional
+    The Axes.""",
+    "draw_three": """axes : sequence of matplotlib.axes.Axes, optional
     Three Axes to draw into; a new figure by default.
 
 Returns
 -------
 numpy.ndarray
-    The three Axes."""
-_SHARED = {
-    "path": _PATH,
-    "written": _WRITTEN,
-    "write": f"{_PATH}\n\n{_WRITTEN}",
-    "ax": _AX,
-    "draw": f"{_AX}\n\n{_AXES}",
-    "axes": _AXES,
-    "draw_three": _THREE,
+    The three Axes.""",
 }
 
 

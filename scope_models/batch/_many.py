@@ -1,6 +1,5 @@
 """A function that writes a file, for many files: checks of the outputs, and resuming."""
 
-import os
 import re
 import sys
 import time
@@ -15,6 +14,7 @@ from astropy.table import Table
 from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
+from scope_models.io._atomic import identity
 
 __all__ = ["FITS", "RAISES", "RUN", "UNITS", "file_state", "medians", "run_files"]
 
@@ -76,9 +76,9 @@ def run_files(
         written[output] = file
         tasks[-1]["output"] = output
     outputs = [folder / task["output"] for task in tasks]
-    replaced = {_identity(path) for path in outputs}
+    replaced = {identity(path) for path in outputs}
     for file in (*(names if are_files else ()), *inputs):
-        if _identity(file) in replaced:
+        if identity(file) in replaced:
             raise ValueError(f"{file} would be replaced by an output: choose another folder")
     for path in () if overwrite or (folder / FILE).exists() else outputs:
         if path.exists():
@@ -140,12 +140,3 @@ def file_state(file):
     except OSError:
         return {"bytes": -1, "changed": 0}
     return {"bytes": state.st_size, "changed": state.st_mtime_ns}
-
-
-def _identity(path):
-    """Return a key common to all links to a file: device and inode, or the path if absent."""
-    try:
-        state = Path(path).stat()
-    except OSError:
-        return os.path.realpath(path)
-    return state.st_dev, state.st_ino

@@ -6,7 +6,7 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["atomic_path", "check_output", "remove_temporaries"]
+__all__ = ["atomic_path", "check_output", "identity", "remove_temporaries"]
 
 _PREFIX = ".scope-models-"
 
@@ -45,8 +45,7 @@ def check_output(path, *, overwrite=False, inputs=()):
     """Return the real place of a file, or raise the errors of `atomic_path`; inputs are refused."""
     target = Path(os.path.realpath(path))
     for source in inputs:
-        both = target.exists() and Path(source).exists()
-        if target == Path(os.path.realpath(source)) or (both and target.samefile(source)):
+        if identity(source) == identity(target):
             raise ValueError(f"cannot write {path}: it is the input {source}")
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
@@ -59,6 +58,15 @@ def check_output(path, *, overwrite=False, inputs=()):
     if not os.access(target.parent, os.W_OK):
         raise PermissionError(f"cannot write {path}: Permission denied in folder {target.parent}")
     return target
+
+
+def identity(path):
+    """Return a key common to all links to a file: device and inode, or the path if absent."""
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return os.path.realpath(path)
+    return state.st_dev, state.st_ino
 
 
 def _move(path, temporary, target, *, overwrite):

@@ -59,20 +59,17 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
         raise ValueError("`tpf` names no known mission in MISSION or TELESCOP")
     sources = [hdu.header for hdu in tpf.hdu[:3]]
     primary = fits.PrimaryHDU()
-    primary.header["NEXTEND"] = (2, "number of standard extensions")
-    primary.header["EXTNAME"] = ("PRIMARY", "name of extension")
     new = [
+        ("NEXTEND", 2, "number of standard extensions"),
+        ("EXTNAME", "PRIMARY", "name of extension"),
         ("ORIGIN", "Unofficial data product", "institution responsible for this file"),
         ("DATE", dt.datetime.now(dt.UTC).date().isoformat(), "file creation date"),
         # lightkurve finds the kind of a file by this word.
         ("CREATOR", "scope_models LightCurve", "program that made this file"),
         ("PROCVER", f"scope_models {__version__}", "software version"),
     ]
-    primary.header.extend(new, end=True)
-    primary.header.extend(_kept(sources[0]), end=True)
-    primary.header["TELESCOP"] = (series.mission.telescope, "telescope")
-    for keyword, value, comment in cards:
-        primary.header[keyword] = (value, comment)
+    primary.header.extend([*new, *_kept(sources[0])], end=True)
+    primary.header.update([("TELESCOP", series.mission.telescope, "telescope"), *cards])
     table = fits.BinTableHDU.from_columns(columns, name="LIGHTCURVE", ver=1)
     table.header["TUNIT1"] = (f"BJD - {series.mission.time_zero:.0f}", "days, barycentric (TDB)")
     table.header.extend(_kept(sources[1]), end=True)
@@ -90,8 +87,7 @@ def _kept(header, left_out=_OF_COLUMNS):
 
 
 def _span(time, series):
-    known = np.asarray(time, dtype=float)
-    known = known[np.isfinite(known)]
+    known = time[np.isfinite(time)]
     if not known.size:
         raise ValueError("`columns` must begin with TIME, with a finite time")
     delta = series.header.get("TIMEDEL")
@@ -214,10 +210,8 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
         header.remove("DATE-OBS", ignore_missing=True)
         if header.get("RADESYS", "ICRS") == "ICRS":
             header.remove("EQUINOX", ignore_missing=True)
-        for keyword, value, comment in shared:
-            header[keyword] = (value, comment)
-    for keyword, value, comment in (*_collection_cards(collection, series, path), *cards):
-        primary[keyword] = (value, comment)
+        header.update(shared)
+    primary.update([*_collection_cards(collection, series, path), *cards])
     for header in (primary, table.header, *(hdu.header for hdu in hdus[2:])):
         for card in list(header.cards):  # blank cards say nothing, and fitsverify warns of them
             if card.value is None or isinstance(card.value, fits.card.Undefined):

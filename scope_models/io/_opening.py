@@ -107,17 +107,16 @@ def _content(path):
                 raise _too_large(path, limit)
             return stream.read()
         limit = min(limit, max(_SMALL, conf.max_ratio * size))
-        pieces, left = [], limit
+        content = io.BytesIO()
         try:
             with gzip.GzipFile(fileobj=stream) as unpacked:
-                while left >= 0 and (piece := unpacked.read(_CHUNK)):
-                    pieces.append(piece)
-                    left -= len(piece)
+                while content.tell() <= limit and (piece := unpacked.read(_CHUNK)):
+                    content.write(piece)
         except Exception as error:  # of gzip
             raise ValueError(_unreadable(path, error)) from error
-    if left < 0:
+    if content.tell() > limit:
         raise _too_large(path, limit)
-    return b"".join(pieces)
+    return content.getvalue()
 
 
 def _too_large(path, limit):
@@ -284,11 +283,10 @@ def column_of(table, name, path, ndim=1):
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]
         raise RefusedError(f"column {name} of {path} must hold {what} per row")
+    values = values.astype(np.float64) if ndim == 3 or values.dtype.kind == "f" else native(values)
     if ndim == 3:
-        values = values.astype(np.float64)
         values[np.isinf(values)] = np.nan
-        return values
-    return values.astype(np.float64) if values.dtype.kind == "f" else native(values)
+    return values
 
 
 def cards_of(*headers):

@@ -240,14 +240,11 @@ def _vectors(arrays):
     """Return arrays for at most 999 columns, X1, X2, ... as vectors X, and the names of these."""
     if len(arrays) <= _MOST_COLUMNS:
         return arrays, []
-    stems = Counter(name.rstrip("0123456789") for name in arrays)
-    joined = {}
-    for stem in stems:
-        parts = [f"{stem}{i + 1}" for i in range(stems[stem])]
-        if stem not in arrays and stems[stem] > 1 and all(name in arrays for name in parts):
-            joined[stem] = np.stack([arrays[name] for name in parts], axis=1)
-    gone = {f"{stem}{i + 1}" for stem, array in joined.items() for i in range(array.shape[1])}
-    left = {name: array for name, array in arrays.items() if name not in gone}
+    left, joined = dict(arrays), {}
+    for stem, n in Counter(name.rstrip("0123456789") for name in arrays).items():
+        parts = [f"{stem}{i}" for i in range(1, n + 1)]
+        if n > 1 and stem not in arrays and all(name in arrays for name in parts):
+            joined[stem] = np.stack([left.pop(name) for name in parts], axis=1)
     return {**left, **joined}, list(joined)
 
 

@@ -24,7 +24,6 @@ from scope_models.missions import MISSIONS
 
 __all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "write_tpf"]
 
-_COSMIC_RAYS = "TARGET COSMIC RAY"
 _COLLECTED, _OPTIMAL = 1, 2
 _COMPRESSION = 4  # 0.6 of the time of gzip's default, 6, for 3 % larger files
 _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
