@@ -6,7 +6,9 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from astropy.io import fits
 from astropy.table import Table
+from astropy.utils.data import get_readable_fileobj
 
 from scope_models.batch._many import file_state
 from scope_models.batch.results import partition, write_star
@@ -200,9 +202,6 @@ def star_positions(tpf, path):
 
 def file_cards(file):
     """Return the cards that name a target pixel file; none of one that cannot be read."""
-    from astropy.io import fits
-    from astropy.utils.data import get_readable_fileobj
-
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

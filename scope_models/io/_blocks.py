@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from astropy.io import fits
 
 from scope_models.io._opening import checksum_of
 
@@ -70,8 +71,6 @@ class Block:
 
     def hdu(self):
         """Return the HDU, which shares its memory with the block."""
-        from astropy.io import fits
-
         header = fits.Header.fromstring(self.cards)
         if self.data is None:
             return fits.PrimaryHDU(header=header)
@@ -109,8 +108,6 @@ class Block:
 
 def write_blocks(blocks, stream):
     """Write blocks and HDUs as a FITS file to a binary stream."""
-    from astropy.io import fits
-
     for block in blocks:
         if isinstance(block, Block):
             block.write(stream)
@@ -141,8 +138,6 @@ def _card(keyword, value, comment):
     card = f"{keyword:8}= {text}" + (f" / {comment}" if comment else "")
     if plain and len(card) <= 80:
         return f"{card:80}"
-    from astropy.io import fits
-
     return str(fits.Card(keyword, value, comment))
 
 

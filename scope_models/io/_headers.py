@@ -10,6 +10,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
+from astropy.io import fits
+from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_int32
@@ -108,8 +110,6 @@ def make_headers(metadata, time, timecorr, used, aperture):
 @cache
 def _template(name):
     """Return keyword, text and comment of the cards of each header of a layout."""
-    from astropy.io import fits
-
     headers = [[]]
     for card in fits.Header.fromtextfile(_LAYOUTS / f"{name}.hdr").cards:
         if card.keyword == "XTENSION":
@@ -161,8 +161,6 @@ def _span(metadata, time, timecorr, used):
 @lru_cache(maxsize=64)
 def calendar_dates(zero, days):
     """Return UTC calendar dates of barycentric times, a tuple: stars of a field have the same."""
-    from astropy.time import Time
-
     with warnings.catch_warnings():
         # Leap seconds of years to come are not known: the date is then off by a second or so.
         warnings.filterwarnings("ignore", message=".*dubious year")
@@ -243,8 +241,6 @@ def tan_projection(metadata, shape):
 
 def _fill(headers, extra_cards):
     """Fill cards without a value with those of the caller, or add them to the primary header."""
-    from astropy.io import fits
-
     for keyword, given in extra_cards.items():
         card = _checked_card(keyword, given)
         start = f"{card.keyword:8}"
@@ -261,8 +257,6 @@ def _fill(headers, extra_cards):
 
 
 def _checked_card(keyword, given):
-    from astropy.io import fits
-
     value, comment = given if isinstance(given, tuple) and len(given) == 2 else (given, "")
     if not isinstance(keyword, str) or not 1 <= len(keyword) <= 8:
         raise ValueError(f"`extra_cards` must have keywords of 1 to 8 characters, got {keyword!r}")

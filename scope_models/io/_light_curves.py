@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from astropy.io import fits
+from astropy.time import Time
 
 from scope_models._version import __version__
 from scope_models.io._headers import calendar_dates
@@ -52,8 +54,6 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     Cards that stay true are kept; those on columns, aperture and span of time are not. The first
     of the columns is TIME, in days; ``cards`` (with comments) go into the primary header.
     """
-    from astropy.io import fits
-
     series = read_pixels(tpf)
     if series.mission is None:
         raise ValueError("`tpf` names no known mission in MISSION or TELESCOP")
@@ -105,8 +105,6 @@ def _span(time, series):
 
 def _aperture_hdu(tpf, sources, aperture):
     """Return the aperture: bit 1 for pixels that are collected, bit 2 for those that are summed."""
-    from astropy.io import fits
-
     bits = np.full(aperture.shape, _COLLECTED, dtype=np.int32)
     if len(sources) > 2:
         given = np.asarray(tpf.hdu[2].data)
@@ -191,8 +189,6 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
 
     ``path`` is the target pixel file; further ``cards`` go into the primary header.
     """
-    from astropy.io import fits
-
     primary, old = hdus[0].header, hdus[1]
     quality, columns = series.mission.quality_column, old.columns
     if quality != "QUALITY":  # lightkurve leaves out flagged cadences of Kepler by the other
@@ -220,8 +216,6 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
 
 
 def _times(table, series):
-    from astropy.time import Time
-
     first, last = table.header["TSTART"], table.header["TSTOP"]
     days = np.array([first, (first + last) / 2, last])
     times = Time(series.mission.time_zero, days, format="jd", scale="tdb")

@@ -8,6 +8,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from astropy.io import fits
+from astropy.io.ascii import InconsistentTableError
+from astropy.io.registry import IORegistryError
+from astropy.table import Table
 
 from scope_models._arrays import native, plain_tree
 from scope_models._checks import one_line
@@ -50,9 +54,6 @@ def open_fits(path):
     before its data are read. The HDUs stay usable. Damage is a ValueError that names the file, and
     a checksum that does not match a warning.
     """
-    # Not imported with the package: it takes a quarter of the time that the package has for that.
-    from astropy.io import fits
-
     content = _content(Path(path))
     try:
         _check_axes(content, 0, path)
@@ -126,8 +127,6 @@ def _too_large(path, limit):
 
 def _check(hdus, content, path):
     """Refuse HDUs that claim more than the file holds; warn of what else does not match."""
-    from astropy.io import fits
-
     mismatches, end, number = [], 0, 0
     while content[end : end + 9] in {b"SIMPLE  =", b"XTENSION="}:
         _check_axes(content, end, path)
@@ -162,8 +161,6 @@ def _check(hdus, content, path):
 
 def _check_axes(content, start, path):
     """Refuse a header with more axes than FITS allows, before astropy lists them."""
-    from astropy.io import fits
-
     stream = io.BytesIO(content)
     stream.seek(start)
     axes = fits.Header.fromfile(stream).get("NAXIS")
@@ -234,10 +231,6 @@ def read_positions(path):
 
 
 def read_table(path):
-    from astropy.io.ascii import InconsistentTableError
-    from astropy.io.registry import IORegistryError
-    from astropy.table import Table
-
     try:
         table = Table.read(path)
     except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
@@ -269,8 +262,6 @@ def time_format_of(header):
 
 
 def first_table(hdus, path):
-    from astropy.io import fits
-
     table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
     if table is None:
         raise RefusedError(f"{path} has no binary table")

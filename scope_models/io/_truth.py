@@ -9,6 +9,7 @@ from itertools import count, takewhile
 from types import MappingProxyType
 
 import numpy as np
+from astropy.io import fits
 from astropy.table import Table
 
 from scope_models._arrays import native
@@ -185,8 +186,6 @@ class Truth(Value):
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):
     """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
-    from astropy.io import fits
-
     maps, hdus = maps or {}, []
     taken = _TPF_NAMES | {name.upper() for name in maps}
     for name, table in (tables or {}).items():

@@ -8,7 +8,10 @@ from types import MappingProxyType
 
 import numpy as np
 from astropy import units as u
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.time import Time
+from astropy.wcs import WCS
 
 from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
@@ -188,8 +191,6 @@ def read_pixels(source, *, quality_bitmask=None):
     >>> series.flux.shape, series.header["OBJECT"], series.mission.name
     ((50, 11, 11), 'SIM 1', 'K2')
     """
-    from astropy.io import fits
-
     name = "`tpf`"
     if isinstance(source, PixelSeries):
         series = source
@@ -249,7 +250,6 @@ def read_tpf(source, *, quality_bitmask="default"):
         _check_place(_opening.cards_of(source.hdu[1].header), "`tpf`")
         return source
     import lightkurve
-    from astropy.io import fits
 
     with _opening.open_fits(source) as hdus:
         series = _of_hdus(hdus, source)
@@ -418,8 +418,6 @@ def star_places(name, places, series):
     ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
     ``name`` is the argument in messages.
     """
-    from astropy.coordinates import SkyCoord
-
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
         given = {f"{name}[{key!r}]": places[columns[key]] for key in "xy"}
@@ -458,8 +456,6 @@ def read_neighbors(path, series):
 
 def target_among(places, series):
     """Return the target's column and row for places on the sky; None for others or if unknown."""
-    from astropy.coordinates import SkyCoord
-
     names = {name.lower() for name in getattr(places, "colnames", ("x", "y"))}
     if isinstance(places, SkyCoord) or not {"x", "y"} <= names:
         return target_place(series)
@@ -471,8 +467,6 @@ def target_place(series):
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     if None in place:
         return None
-    from astropy.coordinates import SkyCoord
-
     return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
 
 
@@ -485,8 +479,6 @@ def place_of(cards, shape):
 
 
 def _wcs(series):
-    from astropy.wcs import WCS
-
     cards = {own: series.header.get(key) for key, own in _WCS.items()}
     if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
         raise ValueError("the file has no WCS: give positions in pixels")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.io import fits
 
 from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import check_fields, checked_matrix, integer, number
@@ -349,8 +350,6 @@ def make_tpf_hdulist(
     ['PRIMARY', 'TARGETTABLES', 'APERTURE', 'TRUTH']
     """
     blocks = _tpf_blocks(**locals())
-    from astropy.io import fits
-
     return fits.HDUList([block.hdu() if isinstance(block, Block) else block for block in blocks])
 
 
@@ -490,8 +489,6 @@ def _not_simulated(block):
 
 def _cosmic_ray_hdu(metadata, values):
     """Return the list of cosmic rays of files that have no column of them."""
-    from astropy.io import fits
-
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
     hdu = fits.BinTableHDU.from_columns(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
+from astropy.io import fits
 
 from scope_models._checks import on_stamp
 from scope_models.exceptions import LostLightWarning
@@ -80,15 +81,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     >>> round(float((injected.flux - tpf.flux).value[50].sum() / tpf.flux.value[50].sum()), 3)
     -0.01
     """
-    from astropy.io import fits
-    from lightkurve.targetpixelfile import TargetPixelFile
-
     if not isinstance(noise, bool | np.bool_):
         raise TypeError(f"`noise` must be True or False, got {noise!r}")
     original = read_tpf(tpf)
-    if not isinstance(original, TargetPixelFile):
-        kind = type(original).__name__
-        raise TypeError(f"`tpf` must be a target pixel file or a path, got a {kind}")
     hdus = fits.HDUList([hdu.copy() for hdu in original.hdu])
     whole = read_pixels(hdus, quality_bitmask="none")
     rows = np.flatnonzero(np.isfinite(whole.time))
@@ -243,8 +238,6 @@ def _simulated(scene):
 
 
 def _record(hdus, series, relative, added, star):
-    from astropy.io import fits
-
     ny, nx = series.flux.shape[1:]
     number = 1 + sum(hdu.name == _NAME for hdu in hdus)
     table = fits.BinTableHDU.from_columns(
