@@ -20,6 +20,7 @@ from scope_models._docstrings import documented
 from scope_models.batch import _detrend
 from scope_models.batch._many import FITS, RAISES, RUN, run_files
 from scope_models.batch.results import check_data_set
+from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
 from scope_models.io._light_curves import Collection
@@ -27,7 +28,7 @@ from scope_models.io._opening import naming
 from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
-from scope_models.models import TransitModel
+from scope_models.models import SensitivityPolynomial, TransitModel
 from scope_models.photometry.precision import noise_of
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
@@ -268,8 +269,6 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     >>> round(inject_file(path, planet, "planet.fits")["injected_depth"], 3)
     0.01
     """
-    from scope_models import fit_tpf
-
     check_output(output, overwrite=overwrite, inputs=[path])
     tpf = read_tpf(path)
     series = read_pixels(tpf)
@@ -488,10 +487,6 @@ def _noise_figure(table, _):
 
 def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
     """Fit a file, write the fit and return it; the options are those of `fit_files`."""
-    from scope_models import fit_tpf
-    from scope_models.fitting import FitOptions
-    from scope_models.models import SensitivityPolynomial
-
     check_output(output, overwrite=overwrite, inputs=[path])
     if sensitivity:
         options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})

@@ -19,10 +19,12 @@ from scope_models._version import __version__
 from scope_models.io._blocks import card_texts
 
 __all__ = [
-    "WCS_NAMES", "PixelColumn", "calendar_dates", "checked_columns", "make_headers",
-    "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection",
+    "COLLECTED", "OPTIMAL", "WCS_NAMES", "PixelColumn", "calendar_dates", "checked_columns",
+    "make_headers", "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection",
 ]  # fmt: skip
 
+#: Bits of the pixels that are collected, and of those in the optimal aperture.
+COLLECTED, OPTIMAL = 1, 2
 _LAYOUTS = Path(__file__).with_name("layouts")
 #: Names of cards on the coordinates of an image, and of those of a column without their numbers.
 WCS_NAMES = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
@@ -80,7 +82,7 @@ def make_headers(metadata, time, timecorr, used, aperture):
 
     Times are days, NaN where unknown; ``used`` cadences have a time and any flux.
     """
-    optimal, collected = aperture & 2 > 0, aperture & 1 > 0
+    optimal, collected = aperture & OPTIMAL > 0, aperture & COLLECTED > 0
     sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
     values = {
         **_facts(metadata), **_span(metadata, time, timecorr, used), **sky,

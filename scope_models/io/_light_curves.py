@@ -16,7 +16,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from scope_models._version import __version__
-from scope_models.io._headers import calendar_dates
+from scope_models.io._headers import COLLECTED, OPTIMAL, calendar_dates
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import Mission
 
@@ -25,7 +25,6 @@ __all__ = [
     "run_label", "sha256",
 ]  # fmt: skip
 
-_COLLECTED, _OPTIMAL = 1, 2
 # What describes columns, images and their coordinates in the pixels' headers.
 _OF_COLUMNS = re.compile(r"\d|WC|T(TYPE|FORM|UNIT|DISP|DIM|NULL|SCAL|ZERO)\d|NAXIS")
 _OF_SIZES = re.compile("NAXIS")
@@ -105,12 +104,12 @@ def _span(time, series):
 
 def _aperture_hdu(tpf, sources, aperture):
     """Return the aperture: bit 1 for pixels that are collected, bit 2 for those that are summed."""
-    bits = np.full(aperture.shape, _COLLECTED, dtype=np.int32)
+    bits = np.full(aperture.shape, COLLECTED, dtype=np.int32)
     if len(sources) > 2:
         given = np.asarray(tpf.hdu[2].data)
         if given.dtype.kind in "iu" and given.shape == bits.shape:
-            bits = given.astype(np.int32) & ~_OPTIMAL
-    hdu = fits.ImageHDU(bits | np.where(aperture, _OPTIMAL, 0).astype(np.int32), name="APERTURE")
+            bits = given.astype(np.int32) & ~OPTIMAL
+    hdu = fits.ImageHDU(bits | np.where(aperture, OPTIMAL, 0).astype(np.int32), name="APERTURE")
     if len(sources) > 2:
         hdu.header.extend(_kept(sources[2], _OF_SIZES), end=True)  # with its coordinates
     hdu.header["NPIXSAP"] = (int(aperture.sum()), "pixels in the aperture of the light curve")

@@ -19,8 +19,8 @@ from scope_models.exceptions import DamagedFileWarning
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
-    "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of", "first_table",
-    "making", "naming", "open_fits", "read_columns", "read_positions", "read_table",
+    "MOST", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
+    "first_table", "making", "naming", "open_fits", "read_columns", "read_positions", "read_table",
     "time_format_of",
 ]  # fmt: skip
 
@@ -32,7 +32,7 @@ _GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
 # Compressed files may always become so large: noise-free simulations compress very well.
 _SMALL = 64 << 20
-_MOST = 999  # axes and columns of the FITS standard
+MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
 _POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
@@ -164,14 +164,14 @@ def _check_axes(content, start, path):
     stream = io.BytesIO(content)
     stream.seek(start)
     axes = fits.Header.fromfile(stream).get("NAXIS")
-    if isinstance(axes, int) and axes > _MOST:
+    if isinstance(axes, int) and axes > MOST:
         raise _refused(path, f"NAXIS is {axes}")
 
 
 def _check_columns(hdu, path):
     """Refuse a table whose columns do not fit its rows."""
     n_columns = hdu.header["TFIELDS"]
-    if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST:
+    if isinstance(n_columns, bool) or not 0 <= n_columns <= MOST:
         raise _refused(path, f"TFIELDS is {n_columns}")
     width, length = hdu.columns.dtype.itemsize, hdu.header["NAXIS1"]
     if width > length:

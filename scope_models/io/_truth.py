@@ -15,12 +15,12 @@ from astropy.table import Table
 from scope_models._arrays import native
 from scope_models._values import Value, frozen
 from scope_models.io._blocks import Block, column_cards
+from scope_models.io._opening import MOST
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
 
 _TPF_NAMES = {"PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"}
 _TPF_NAMES |= {"TRUTH", "SCENE"}
-_MOST_COLUMNS = 999  # of the FITS standard
 _NUMBERED = "NUMBERED"
 _LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
@@ -237,7 +237,7 @@ def _truth_block(cadenceno, columns):
 
 def _vectors(arrays):
     """Return arrays for at most 999 columns, X1, X2, ... as vectors X, and the names of these."""
-    if len(arrays) <= _MOST_COLUMNS:
+    if len(arrays) <= MOST:
         return arrays, []
     left, joined = dict(arrays), {}
     for stem, n in Counter(name.rstrip("0123456789") for name in arrays).items():

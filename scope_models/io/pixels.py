@@ -17,13 +17,12 @@ from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
 from scope_models.io import _opening
-from scope_models.io._headers import WCS_NAMES
+from scope_models.io._headers import OPTIMAL, WCS_NAMES
 from scope_models.io._opening import RefusedError
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
-_OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
 #: Keywords of the WCS of the column FLUX, the fifth, and their names in an image.
 _WCS = {f"{n}{own}5": f"{name}{n}" for name, own in WCS_NAMES.items() for n in "12"}
@@ -324,7 +323,7 @@ def _of_hdus(hdus, name):
         "flux_err": column("FLUX_ERR", np.full(flux.shape, np.nan), ndim=3),
         "flux_bkg": column("FLUX_BKG", ndim=3),
         "pos_corr": None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
-        "aperture": (np.asarray(bits) & _OPTIMAL) > 0 if has_aperture else np.ones(stamp, bool),
+        "aperture": (np.asarray(bits) & OPTIMAL) > 0 if has_aperture else np.ones(stamp, bool),
     }  # fmt: skip
     shapes = {"pos_corr": (n, 2), "aperture": tuple(stamp)}
     for key, array in values.items():

@@ -25,7 +25,6 @@ from scope_models.missions import MISSIONS
 
 __all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "write_tpf"]
 
-_COLLECTED, _OPTIMAL = 1, 2
 _COMPRESSION = 4  # 0.6 of the time of gzip's default, 6, for 3 % larger files
 _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
 _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
@@ -491,15 +490,13 @@ def _cosmic_ray_hdu(metadata, values):
     """Return the list of cosmic rays of files that have no column of them."""
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
-    hdu = fits.BinTableHDU.from_columns(
-        [
-            fits.Column("CADENCENO", "J", array=values["CADENCENO"][cadence], disp="I10"),
-            fits.Column("RAWX", "I", "pixel", array=metadata.column + column, disp="I4"),
-            fits.Column("RAWY", "I", "pixel", array=metadata.row + row, disp="I4"),
-            fits.Column("COSMIC_RAY", "E", "e-/s", array=rays[cadence, row, column], disp="E14.7"),
-        ],
-        name="TARGET COSMIC RAY",
-    )
+    columns = [
+        fits.Column("CADENCENO", "J", array=values["CADENCENO"][cadence], disp="I10"),
+        fits.Column("RAWX", "I", "pixel", array=metadata.column + column, disp="I4"),
+        fits.Column("RAWY", "I", "pixel", array=metadata.row + row, disp="I4"),
+        fits.Column("COSMIC_RAY", "E", "e-/s", array=rays[cadence, row, column], disp="E14.7"),
+    ]
+    hdu = fits.BinTableHDU.from_columns(columns, name="TARGET COSMIC RAY")
     hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
     hdu.header["EXTVER"] = (1, "version of extension")
     hdu.header["SIMDATA"] = (True, "the data are simulated")
@@ -508,12 +505,12 @@ def _cosmic_ray_hdu(metadata, values):
 
 def _aperture_bits(aperture, shape):
     if aperture is None:
-        return np.full(shape, _COLLECTED, dtype=np.int32)
+        return np.full(shape, _headers.COLLECTED, dtype=np.int32)
     aperture = np.asarray(aperture)
     if aperture.shape != shape:
         raise ValueError(f"`aperture` must have the shape {shape}, got {aperture.shape}")
     if aperture.dtype.kind == "b":
-        return np.where(aperture, _COLLECTED | _OPTIMAL, _COLLECTED).astype(np.int32)
+        return _headers.COLLECTED | np.where(aperture, _headers.OPTIMAL, 0).astype(np.int32)
     if aperture.dtype.kind not in "iu":
         raise TypeError(f"`aperture` must be of booleans or integers, got {aperture.dtype}")
     if aperture.min() < 0:

@@ -240,16 +240,13 @@ def _simulated(scene):
 def _record(hdus, series, relative, added, star):
     ny, nx = series.flux.shape[1:]
     number = 1 + sum(hdu.name == _NAME for hdu in hdus)
-    table = fits.BinTableHDU.from_columns(
-        [
-            fits.Column("CADENCENO", "J", array=series.cadenceno),
-            fits.Column("TIME", "D", "d", array=series.time),
-            fits.Column("SIGNAL", "D", array=relative),
-            fits.Column("FLUX_ADDED", f"{ny * nx}E", "e-/s", dim=f"({nx},{ny})", array=added),
-        ],
-        name=_NAME,
-        ver=number,
-    )
+    columns = [
+        fits.Column("CADENCENO", "J", array=series.cadenceno),
+        fits.Column("TIME", "D", "d", array=series.time),
+        fits.Column("SIGNAL", "D", array=relative),
+        fits.Column("FLUX_ADDED", f"{ny * nx}E", "e-/s", dim=f"({nx},{ny})", array=added),
+    ]
+    table = fits.BinTableHDU.from_columns(columns, name=_NAME, ver=number)
     table.header["KIND"] = ("signal" if star is None else "star", "what was injected")
     if star is not None:
         table.header["MAG"] = (star.mag, "magnitude of the star")
