@@ -6,6 +6,8 @@ import tomllib
 import warnings
 from pathlib import Path
 
+import scope_models as sm
+
 __all__ = [
     "add_command", "add_options", "add_planet", "add_workers", "adder", "check_number", "client_of",
     "given", "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
@@ -74,12 +76,10 @@ def check_number(arguments, name):
 
 def single(arguments):
     """Return the file of a command that has no --output-dir."""
-    from scope_models.batch import find_files
-
     if arguments.output is None or len(arguments.input) > 1:
         raise ValueError("give --output for one input, or --output-dir for any number")
     refuse_options_of_runs(arguments)
-    return find_files(arguments.input)[0]
+    return sm.batch.find_files(arguments.input)[0]
 
 
 def refuse_options_of_runs(arguments):
@@ -140,24 +140,23 @@ def with_config(argv):
     return [*argv[:1], *inputs, *added, f"--config={path}", *argv[1:]]
 
 
-def run(name, arguments, *inputs, **options):
+def run(compute, arguments, *inputs, **options):
     """Call a function for many files and print its results; return 1 if a file has failed."""
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
     client = client_of(arguments)
-    from scope_models import batch, benchmark
     from scope_models._checks import one_line
     from scope_models.exceptions import FailedStarsWarning
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
-            result = getattr(batch, name, getattr(benchmark, name, None))(
+            result = compute(
                 *inputs, output_dir=arguments.output_dir, client=client, **options,
                 overwrite=arguments.overwrite, sweep={"progress": sys.stderr.isatty()},
             )  # fmt: skip
-    except (ModuleNotFoundError, batch.SweepError) as error:
+    except (ModuleNotFoundError, sm.batch.SweepError) as error:
         print(f"scope-models: error: {one_line(error)}", file=sys.stderr)
         return 1
     for key, error in result.failures.iterrows("key", "error"):

@@ -44,7 +44,8 @@ def _run(arguments):
         many, one = _detrend_options(arguments)
         options |= one if arguments.output_dir is None else many
     if arguments.output_dir is not None:
-        return _batch.run(f"{arguments.command}_files", arguments, arguments.input, **options)
+        compute = getattr(sm.batch, f"{arguments.command}_files")
+        return _batch.run(compute, arguments, arguments.input, **options)
     path = _batch.single(arguments)
     print(arguments.one(arguments, path, overwrite=arguments.overwrite, **options))
     return 0

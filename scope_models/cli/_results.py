@@ -1,5 +1,6 @@
 """``scope-models report``, ``benchmark`` and ``score``: pages and scores of corrections."""
 
+import scope_models as sm
 from scope_models.cli import _batch
 
 __all__ = ["add_parser"]
@@ -29,9 +30,7 @@ def _report(arguments):
     Noise against magnitude, outliers with their pixels, light curves and positions, warnings, and
     failures by cause. It holds all of its figures and needs no network.
     """
-    from scope_models.batch import write_report
-
-    print(write_report(arguments.folder, arguments.output))
+    print(sm.batch.write_report(arguments.folder, arguments.output))
 
 
 def _write(arguments):
@@ -42,7 +41,7 @@ def _write(arguments):
     """
     if arguments.output_dir is None:
         arguments.parser.error("the following arguments are required: --output-dir")
-    return _batch.run("make_benchmark", arguments, stars=arguments.stars)
+    return _batch.run(sm.benchmark.make_benchmark, arguments, stars=arguments.stars)
 
 
 def _score(arguments):
@@ -53,13 +52,12 @@ def _score(arguments):
     part of the cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for
     the truth: dependence on the place within the pixel, and steps from pixel to pixel.
     """
-    from scope_models.benchmark import score_light_curves, summarize_scores
     from scope_models.io._atomic import atomic_path, check_output
 
     if arguments.output is not None:
         check_output(arguments.output, overwrite=arguments.overwrite, inputs=arguments.input)
-    table = score_light_curves(arguments.input)
-    summary = summarize_scores(table)
+    table = sm.benchmark.score_light_curves(arguments.input)
+    summary = sm.benchmark.summarize_scores(table)
     for name in summary.colnames[2:]:
         summary[name].info.format = ".3g"
     print("\n".join(summary.pformat(max_lines=-1, max_width=-1)))

@@ -142,7 +142,7 @@ def _run_table(arguments):
     options = {"detector": arguments.detector, "motion": arguments.motion or ""}
     options["cadences"] = arguments.cadences or _CADENCES
     options["seed"] = 1 if arguments.seed is None else arguments.seed
-    return _batch.run("simulate_table", arguments, table, **options)
+    return _batch.run(sm.batch.simulate_table, arguments, table, **options)
 
 
 def _make_motion(arguments, detector):
