@@ -37,7 +37,9 @@ def checked_model(name, model):
     return model.copy()
 
 
-def checked_number(name, value, unit="", *, positive=False, any_sign=False, **options):
+def checked_number(
+    name, value, unit="", *, positive=False, any_sign=False, at_most=np.inf, **options
+):
     """Return a finite number in a unit as a float; ``options`` are those of `plain_number`."""
     value = plain_number(value, unit, name, **options)
     if not np.isfinite(value):
@@ -46,42 +48,32 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
         raise ValueError(f"`{name}` must be positive, got {value}")
     if value < 0 and not any_sign:
         raise ValueError(f"`{name}` must not be negative, got {value}")
+    if abs(value) > at_most:
+        wanted = f"be within -{at_most} to {at_most}" if value < 0 else f"not be above {at_most}"
+        raise ValueError(f"`{name}` must {wanted}, got {value}")
     return value
 
 
-def number(
-    default=MISSING, unit="", *, positive=False, any_sign=False, at_most=np.inf, equivalencies=(),
-    **options,
-):  # fmt: skip
+def number(default=MISSING, unit="", *, kw_only=MISSING, **options):
     """Return a field of a dataclass, a number or a pair, that `check_fields` brings to its unit."""
-    signs = {"positive": positive, "any_sign": any_sign}
-    metadata = {"unit": unit, "signs": signs, "at_most": at_most, "equivalencies": equivalencies}
-    return field(default=default, metadata=metadata, **options)
+    check = checked_pair if isinstance(default, tuple) else checked_number
+    metadata = {"check": check, "unit": unit, **options}
+    return field(default=default, kw_only=kw_only, metadata=metadata)
 
 
-def integer(default, smallest, largest=None, **options):
+def integer(default, smallest, largest=None, *, kw_only=MISSING):
     """Return a field of a dataclass, an integer, that `check_fields` checks."""
-    metadata = {"smallest": smallest, "largest": largest}
-    return field(default=default, metadata=metadata, **options)
+    metadata = {"check": checked_integer, "smallest": smallest, "largest": largest}
+    return field(default=default, kw_only=kw_only, metadata=metadata)
 
 
 def check_fields(instance):
     """Bring each `number` and `integer` of a frozen dataclass to type; None stays as a default."""
     for item in fields(instance):
-        name, value, known = item.name, getattr(instance, item.name), item.metadata
-        if not known or (value is None and item.default is None):
-            continue
-        options = {"equivalencies": known.get("equivalencies", ())}
-        if "smallest" in known:
-            value = checked_integer(name, value, known["smallest"], known["largest"])
-        elif isinstance(item.default, tuple):
-            value = checked_pair(name, value, known["unit"], **options)
-        else:
-            value = checked_number(name, value, known["unit"], **known["signs"], **options)
-            if abs(value) > (most := known["at_most"]):
-                wanted = f"be within -{most} to {most}" if value < 0 else f"not be above {most}"
-                raise ValueError(f"`{name}` must {wanted}, got {value}")
-        object.__setattr__(instance, name, value)
+        value, options = getattr(instance, item.name), dict(item.metadata)
+        if options and not (value is None and item.default is None):
+            check = options.pop("check")
+            object.__setattr__(instance, item.name, check(item.name, value, **options))
 
 
 def checked_choice(name, value, choices):

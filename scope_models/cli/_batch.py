@@ -54,13 +54,12 @@ def planet_of(arguments):
 
 
 def planets_of(arguments):
-    from astropy.table import Table
-
+    """Return the planets of ``--planets``, a table, or the one of the options, as columns."""
     planet = planet_of(arguments)
     if arguments.planets is None:
         if not planet:
             raise ValueError("--period and --depth are needed, or --planets")
-        return Table(rows=[planet])
+        return {name: [value] for name, value in planet.items()}
     if planet:
         raise ValueError("--period and --depth cannot be combined with --planets")
     from scope_models.io._opening import read_table

@@ -19,8 +19,7 @@ from scope_models.io._opening import MOST
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
 
-_TPF_NAMES = {"PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"}
-_TPF_NAMES |= {"TRUTH", "SCENE"}
+_TAKEN = {"PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY", "TRUTH", "SCENE"}
 _NUMBERED = "NUMBERED"
 _LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
@@ -187,7 +186,7 @@ class Truth(Value):
 def truth_blocks(cadenceno, columns, maps, scene, tables):
     """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
     maps, hdus = maps or {}, []
-    taken = _TPF_NAMES | {name.upper() for name in maps}
+    taken = _TAKEN | {name.upper() for name in maps}
     for name, table in (tables or {}).items():
         _check_name("truth_tables", name, taken | {hdu.name for hdu in hdus})
         hdu = fits.table_to_hdu(Table(table, meta={}))
@@ -201,7 +200,7 @@ def scene_blocks(maps, scene, further=()):
     """Return the extensions that hold images, further extensions, and what JSON can hold."""
     blocks = {}
     for name, values in maps.items():
-        _check_name("truth_maps", name, _TPF_NAMES | blocks.keys())
+        _check_name("truth_maps", name, _TAKEN | blocks.keys())
         array = np.array(values, dtype=float)
         if array.ndim != 2 or 0 in array.shape:
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
@@ -219,9 +218,8 @@ def _truth_block(cadenceno, columns):
         array = np.asarray(values)
         array = array.astype(np.int32 if np.can_cast(array.dtype, np.int32) else float)
         if array.shape[:1] != cadenceno.shape or 0 in array.shape:
-            wanted = f"a row for each of the {len(cadenceno)} cadences"
-            found = f"got the shape {array.shape}"
-            raise ValueError(f"`truth_columns` {name} must have {wanted}, {found}")
+            wanted = f"a row for each of the {len(cadenceno)} cadences, got the shape {array.shape}"
+            raise ValueError(f"`truth_columns` {name} must have {wanted}")
         arrays[name] = array
     arrays, numbered = _vectors(arrays)
     fields = [(name, f">{a.dtype.str[1:]}", a.shape[1:]) for name, a in arrays.items()]

@@ -1,6 +1,5 @@
 """The result of a simulation: pixels, the truth behind them, and the target pixel file of both."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from types import SimpleNamespace
@@ -393,7 +392,7 @@ class Observation(Value):
         full[places] = flux / np.nanmedian(flux)
         return full
 
-    def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
+    def _tpf_arguments(self, metadata, aperture_mask):
         aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
             wanted = "Kepler, K2 or TESS (or Ground) to make a target pixel file"
