@@ -107,8 +107,8 @@ def gaussian_errors():
     cases = [("terms", 0.5, rho) for rho in (0.2, 0.5, 0.8)]
     cases += [("nodes", sigma, 0.9) for sigma in (0.3, 0.7, 1.5)]
     for kind, sigma, rho in cases:
-        values = [np.array([v]) for v in (1.0, *place, sigma, sigma, rho)]
-        arguments = [mp.mpf(float(v[0])) for v in values[1:]]
+        values = [np.array([v]) for v in (*place, sigma, sigma, rho)]
+        arguments = [mp.mpf(float(v[0])) for v in values]
         truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4))}
         scale = sigma * np.sqrt(1 - rho**2)
         chosen = kept[0](rho) if kind == "terms" else kept[1](scale, 3)
@@ -129,8 +129,8 @@ def panel_errors():
     pixels, kept, nodes_of = np.arange(7.0), _gaussian._PANEL, _gaussian.gaussian_nodes  # noqa: SLF001
     rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
     for sigma, rho in ((0.1, 0.9), (0.02, 0.5), (0.3, 0.9999)):
-        values = [np.array([v]) for v in (1.0, 3.5, 3.5, sigma, sigma, rho)]
-        arguments = [mp.mpf(float(v[0])) for v in values[1:]]
+        values = [np.array([v]) for v in (3.5, 3.5, sigma, sigma, rho)]
+        arguments = [mp.mpf(float(v[0])) for v in values]
         truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4), (5, 5))}
         scale = sigma * np.sqrt(1 - rho**2)
         chosen = int(np.ceil(kept / scale))
