@@ -115,7 +115,7 @@ def gaussian_errors():
         for order in sorted({*range(2, 2 * chosen, max(1, chosen // 12)), chosen}):
             _gaussian.n_terms = _gaussian.gaussian_nodes = lambda *_, order=order: order
             image = np.zeros((1, 1, 7, 7))
-            engine = _gaussian._series_image if kind == "terms" else _gaussian._line_images  # noqa: SLF001
+            engine = _gaussian._series_images if kind == "terms" else _gaussian._line_images  # noqa: SLF001
             engine(pixels, pixels, values, rows, image)
             error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
             yield kind, (rho if kind == "terms" else sigma), order, error, chosen

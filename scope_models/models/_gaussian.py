@@ -80,29 +80,9 @@ def contract(y_table, x_table, out):
         np.matmul(y_table.transpose(0, 2, 1), x_table, out=out)
 
 
-def _tables(x, y, parameters, coefficients, n_orders):
-    """Tables along both axes, and the weights rho^k."""
-    x_0, y_0, sigma_x, sigma_y, rho = parameters
-    largest = np.max(np.abs(rho))
-    x_axis = axis_table(x, x_0, sigma_x, coefficients[0], n_orders, largest)
-    y_axis = axis_table(y, y_0, sigma_y, coefficients[1], n_orders, largest)
-    return x_axis, y_axis, rho[:, np.newaxis, np.newaxis] ** np.arange(n_orders)[:, np.newaxis]
-
-
 def series_step(n_terms, x, y):
     """Number of densities whose tables fit into the cache together."""
     return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size, 1)), _FEWEST), _MOST)
-
-
-def _series_image(x, y, parameters, coefficients, out):
-    n = n_terms(parameters[-1])
-    x_axis, y_axis, powers = _tables(x, y, parameters, coefficients, n)
-    step = series_step(n, x, y)
-    for start in range(0, out.shape[1], step):
-        part = slice(start, start + step)
-        y_table = y_axis(part)
-        y_table *= powers if len(powers) == 1 else powers[part]
-        contract(y_table, x_axis(part), out[0, part])
 
 
 def _moved(table, sigma):
@@ -118,28 +98,33 @@ def _widened(table, sigma):
     return change / sigma[:, np.newaxis, np.newaxis]
 
 
-def _series_derivatives(x, y, parameters, coefficients, out):
-    *_, sigma_x, sigma_y, rho = parameters
-    n = n_terms(rho)
-    x_axis, y_axis, powers = _tables(x, y, parameters, coefficients, n + 2)
-    powers = powers[:, :n]
+def _series_images(x, y, parameters, coefficients, out):
+    """Add up the terms of Mehler's expansion: one image, or six."""
+    x_0, y_0, sigma_x, sigma_y, rho = parameters
+    n, largest, slopes = n_terms(rho), np.max(np.abs(rho)), len(out) > 1
+    n_orders = n + 2 if slopes else n
+    x_axis = axis_table(x, x_0, sigma_x, coefficients[0], n_orders, largest)
+    y_axis = axis_table(y, y_0, sigma_y, coefficients[1], n_orders, largest)
+    powers = rho[:, np.newaxis, np.newaxis] ** np.arange(n)[:, np.newaxis]
     order = np.arange(1.0, n + 1)[:, np.newaxis]
     step = series_step(n, x, y)
     for start in range(0, out.shape[1], step):
         part = slice(start, start + step)
         x_table, y_table = x_axis(part), y_axis(part)
         weight = powers if len(powers) == 1 else powers[part]
-        wide_x, wide_y = (s if s.size == 1 else s[part] for s in (sigma_x, sigma_y))
         base_x, base_y = x_table[:, :n], weight * y_table[:, :n]
+        contract(base_y, base_x, out[0, part])
+        if not slopes:
+            continue
+        wide_x, wide_y = (s if s.size == 1 else s[part] for s in (sigma_x, sigma_y))
         pairs = [
-            (base_y, base_x),
             (base_y, _moved(x_table, wide_x)),
             (weight * _moved(y_table, wide_y), base_x),
             (base_y, _widened(x_table, wide_x)),
             (weight * _widened(y_table, wide_y), base_x),
             (weight * order * y_table[:, 1:-1], x_table[:, 1:-1]),
         ]
-        for pair, image in zip(pairs, out, strict=True):
+        for pair, image in zip(pairs, out[1:], strict=True):
             contract(*pair, image[part])
 
 
@@ -192,7 +177,7 @@ def _reached(pixels, center, sigma):
     return slice(int(start), int(stop))
 
 
-def _evaluate(x, y, parameters, coefficients, by_series, n_images):
+def _evaluate(x, y, parameters, coefficients, n_images):
     """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
@@ -218,7 +203,7 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
         rows = _reached(y, values[1], values[3])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
-            images_of = by_series if series else _line_images
+            images_of = _series_images if series else _line_images
             images_of(x[columns], y[rows], values, coefficients, out)
     images[:, np.broadcast_to(singular, n)] = np.nan
     return images.reshape(n_images, *shape, y.size, x.size)
@@ -230,8 +215,7 @@ def gaussian_pixels(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y
     ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
     and ``along_y`` the coefficients of the polynomials in u and v, the constants first.
     """
-    parameters = x_0, y_0, sigma_x, sigma_y, rho
-    return _evaluate(x, y, parameters, (along_x, along_y), _series_image, 1)[0]
+    return _evaluate(x, y, (x_0, y_0, sigma_x, sigma_y, rho), (along_x, along_y), 1)[0]
 
 
 def gaussian_derivatives(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
@@ -239,5 +223,4 @@ def gaussian_derivatives(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), al
 
     The derivatives are by x_0, y_0, sigma_x, sigma_y and rho.
     """
-    parameters = x_0, y_0, sigma_x, sigma_y, rho
-    return _evaluate(x, y, parameters, (along_x, along_y), _series_derivatives, 6)
+    return _evaluate(x, y, (x_0, y_0, sigma_x, sigma_y, rho), (along_x, along_y), 6)

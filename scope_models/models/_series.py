@@ -9,7 +9,7 @@ import numpy as np
 from scope_models._arrays import without_unit
 from scope_models.models import _gaussian
 from scope_models.models._axis import FEW, ROWS, AxisPanels
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
+from scope_models.models._terms import Factor, Term, closed_form, expand, is_pixel_integrated
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
@@ -34,8 +34,8 @@ class ImageSeries:
 
     def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0, at=(0, 0)):
         widest = 1.0 if widths is None else np.max(widths)
-        self._components, self._stamp = _components(psf), shape
-        parts = _with_response(self._components, sensitivity)
+        self._psf, self._stamp = psf, shape
+        parts = _with_response(psf, sensitivity)
         self.window = _window(parts, shape, x, y, widest, blur)
         # How far from the star all but the dark part of its light is.
         self._reach = max(
@@ -68,24 +68,20 @@ class ImageSeries:
         if min(ends) > self._reach:
             return 0.0
         few = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
-        images = _summed(self._components, self._stamp, x[few], y[few])
+        images = unit_images(self._psf, self._stamp, x[few], y[few])
         return min(max(1.0 - float(images.sum(axis=(1, 2)).min()), 0.0), 1.0)
 
 
 def is_gaussian(psf, sensitivity):
     """Whether PSF times sensitivity is bivariate normal times polynomials, which can be blurred."""
-    return all(part[-1] is not None for part in _with_response(_components(psf), sensitivity))
+    return all(part[-1] is not None for part in _with_response(psf, sensitivity))
 
 
 def unit_images(psf, shape, x, y):
     """Images ``(m, ny, nx)`` of unit flux at a few positions ``(m,)``, each integrated directly."""
-    return _summed(_components(psf), shape, x, y)
-
-
-def _summed(components, shape, x, y):
     columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
     images = np.zeros((len(x), *shape))
-    for fraction, (dx, dy), term in components:
+    for fraction, (dx, dy), term in _components(psf):
         images += fraction * _directly(term, columns, rows)(x + dx, y + dy, None)
     return images
 
@@ -106,24 +102,22 @@ def _components(psf):
     return components
 
 
-def _with_response(components, sensitivity):
+def _with_response(psf, sensitivity):
     """Return fraction, offset, unit product and the Gaussian of each component and response."""
     responses = [Term()] if sensitivity is None else expand(sensitivity)
     parts = []
-    for fraction, offset, unit in components:
-        several = [Term()] if is_pixel_integrated(unit.densities[0].model) else responses
-        for response in several:
-            term = unit * response
-            parts.append((fraction, offset, term, _normal(term)))
+    for fraction, offset, unit in _components(psf):
+        whole = is_pixel_integrated(unit.densities[0].model)
+        terms = [unit] if whole else [unit * response for response in responses]
+        parts += [(fraction, offset, term, _normal(term)) for term in terms]
     return parts
 
 
 def _normal(term):
     """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
     form = term.closed_form()
-    if form is not None and term.diffusion:  # it is added after the change of focus
-        others = tuple(f for f in term.sensitivities if "sigma_d" not in f.values)
-        form = replace(term, sensitivities=others).closed_form()
+    if form is not None:  # diffusion is added after the change of focus
+        form = closed_form(term.densities[0].model, term.densities[0].values)
     if form is None or form.pixels is not _gaussian.gaussian_pixels:
         return None
     return tuple(float(value) for value in form.parameters[2:])

@@ -107,9 +107,7 @@ class SensitivityPolynomial(Fittable2DModel):
     @property
     def powers(self):
         """Axis ("x" or "y") and power of the coefficients by name (dict of str to tuple)."""
-        along = [("x", n) for n in range(self._n_x)]
-        along += [("y", n) for n in range(len(self.param_names) - self._n_x)]
-        return dict(zip(self.param_names, along, strict=True))
+        return {name: (name[1], int(name[2:])) for name in self.param_names}
 
     def evaluate(self, x, y, *coefficients):
         """Response at the positions, dimensionless."""

@@ -421,8 +421,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     amplitude = plain_number(amplitude, u.one, "amplitude")
     period = checked_number("period", period, u.day, positive=True)
     phase = plain_number(phase, u.cycle, "phase")
-    if not 0 <= amplitude < 1:
-        raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
+    _require(0 <= amplitude < 1, "amplitude", "at least 0 and below 1", amplitude)
     return Const1D(1.0) + SineSignal(amplitude, 1 / period, phase)
 
 

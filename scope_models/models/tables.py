@@ -71,7 +71,8 @@ class _Surface:
         matrix = np.reshape(coefficients, (len(knots_y) - _DEGREE - 1, -1))
         images = np.empty((3 if derivatives else 1, x_0.size, y.size, x.size))
         (step_y, step_x), (size_y, size_x) = self.oversampling, self.samples.shape
-        slope_x, slope_y = _slopes(knots_x, matrix.T).T, _slopes(knots_y, matrix)
+        slope_x = self.spline.partial_derivative(0, 1).tck[2].reshape(len(matrix), -1)
+        slope_y = self.spline.partial_derivative(1, 0).tck[2].reshape(-1, matrix.shape[1])
         for start in range(0, x_0.size, _BATCH):
             part = slice(start, start + _BATCH)
             axis_x = _axis_rule(x, x_0[part], self.origin[0], step_x, size_x, along_x)
@@ -88,12 +89,6 @@ class _Surface:
             images[2] *= -step_y
         images = images.reshape((len(images), *shape, y.size, x.size))
         return images if derivatives else images[0]
-
-
-def _slopes(knots, coefficients):
-    """Coefficients, along the first axis, of the derivative of a spline."""
-    width = knots[_DEGREE + 1 : -1] - knots[1 : -_DEGREE - 1]
-    return _DEGREE * np.diff(coefficients, axis=0) / width[:, np.newaxis]
 
 
 def _axis_rule(pixels, center, origin, oversampling, size, polynomial):

@@ -101,7 +101,7 @@ def test_series_and_line_rule_agree(rho):
     rows = np.array([1.0, 0.2, -0.4]), np.array([1.0, 0.0, -0.05])
     pixels = np.arange(5.0)
     series, line = np.zeros((2, 1, 1, 5, 5))
-    _gaussian._series_image(pixels, pixels, values, rows, series)
+    _gaussian._series_images(pixels, pixels, values, rows, series)
     _gaussian._line_images(pixels, pixels, values, rows, line)
     assert np.max(np.abs(series - line)) < 2e-13
 
