@@ -75,14 +75,13 @@ def scale_to(ax, *series):
         ax.set_ylim(low - margin, high + margin)
 
 
-def mark_outside(ax, x, *series):
+def mark_outside(ax, x, values):
     """Draw arrows at the borders of the Axes toward values beyond them."""
     low, high = ax.get_ylim()
-    for values in series:
-        for beyond, border, marker in ((values > high, high, "^"), (values < low, low, "v")):
-            if np.any(beyond):
-                at = np.full(np.count_nonzero(beyond), border)
-                ax.plot(np.asarray(x)[beyond], at, marker, ms=5, color=LIGHT, clip_on=False)
+    for beyond, border, marker in ((values > high, high, "^"), (values < low, low, "v")):
+        if np.any(beyond):
+            at = np.full(np.count_nonzero(beyond), border)
+            ax.plot(np.asarray(x)[beyond], at, marker, ms=5, color=LIGHT, clip_on=False)
 
 
 def label_places(ax, places, texts, radii):

@@ -140,7 +140,6 @@ def plot_detrending_masks(image, aperture, scatter):
     >>> [ax.get_title() for ax in axes]
     ['Flux (e-/s)', 'Scatter of the pixel fractions']
     """
-    aperture = np.asarray(aperture, dtype=bool)
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
@@ -199,8 +198,7 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
         most = most if most > 1e-9 else 1.0  # less is rounded
         shown = ax.imshow(leak, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most)
         figure.colorbar(shown, ax=ax, label="Light (%)")
-        if aperture is not None:
-            draw_outline(ax, np.asarray(aperture, dtype=bool))
+        draw_outline(ax, aperture)
         ax.set(xlabel="Column (pixel)" if name == list(leaks)[-1] else "", ylabel="Row (pixel)")
     axes[f"leak, {next(iter(leaks))}"].set_title("Light that one standard deviation moves")
     return axes

@@ -43,8 +43,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
         top = np.nanmax(image)
         norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
     ax = _draw_image(image, 1, FLUX, title, ax, cmap="viridis", norm=norm)
-    if aperture is not None:
-        draw_outline(ax, np.asarray(aperture, dtype=bool))
+    draw_outline(ax, aperture)
     return ax
 
 
@@ -298,8 +297,10 @@ def _pixel_axes(ax, x_limits, y_limits):
 
 
 def draw_outline(ax, aperture):
-    """Draw the edges between pixels inside and outside, white on black."""
-    padded = np.pad(aperture, 1)
+    """Draw the edges between pixels inside and outside, white on black; nothing of None."""
+    if aperture is None:
+        return
+    padded = np.pad(np.asarray(aperture, dtype=bool), 1)
     below, left = padded[1:] != padded[:-1], padded[:, 1:] != padded[:, :-1]
     lines = [[(x - 1.5, y - 0.5), (x - 0.5, y - 0.5)] for y, x in np.argwhere(below)]
     lines += [[(x - 0.5, y - 1.5), (x - 0.5, y - 0.5)] for y, x in np.argwhere(left)]

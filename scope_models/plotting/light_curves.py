@@ -3,6 +3,7 @@
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import binned_statistic
 
 from scope_models._arrays import plain_number
 from scope_models.plotting import _style
@@ -95,11 +96,9 @@ def plot_fold(
         raise ValueError(f"`window` of {window} h around mid-transit holds no cadence")
     ax = _style.given_or_new(ax, 6, 3.6)
     ax.plot(phase[near], flux[near], ".", ms=3, color="0.75", label="cadences")
-    edges = np.linspace(-window, window, n_bins + 1)
-    count, _ = np.histogram(phase[near], edges)
-    total, _ = np.histogram(phase[near], edges, weights=flux[near])
-    used, centers = count > 0, (edges[:-1] + edges[1:]) / 2
-    ax.plot(centers[used], total[used] / count[used], "o", ms=4.5, color=DARK, label="binned")
+    limits = [(-window, window)]
+    means, edges, _ = binned_statistic(phase[near], flux[near], bins=n_bins, range=limits)
+    ax.plot((edges[:-1] + edges[1:]) / 2, means, "o", ms=4.5, color=DARK, label="binned")
     if model is not None:
         order = np.argsort(phase[near])
         ax.plot(phase[near][order], np.asarray(model)[near][order], color=LIGHT, label="model")
