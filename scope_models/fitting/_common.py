@@ -76,12 +76,9 @@ def common_motions(tpfs, *, pixels=True):
             tracks[ccd_name(series.header), f"{step:.0f} s", series.time_format] += found
     for (ccd, step, time_format), group in tracks.items():
         motion, left = fit_tracks(group, time_format)
-        reasons, stars = {}, set()
-        for track, out in zip(group, left, strict=True):
-            if out:
-                reasons[track.name] = f"{track.kind} disagrees with the other stars"
-            else:
-                stars.add(track.name)
+        pairs = [*zip(group, left, strict=True)]
+        reasons = {t.name: f"{t.kind} disagrees with the other stars" for t, out in pairs if out}
+        stars = {track.name for track, out in pairs if not out}
         meta = {"ccd": ccd, "n_files": len(stars | reasons.keys()), "stars": sorted(stars)}
         motions[f"{ccd} {step}".strip()] = motion.replace(meta=meta | {"left_out": reasons})
     return motions, failed

@@ -314,8 +314,8 @@ def psf_shape(fit):
     by[-1] = (by[-1] + 90) % 180 - 90
     errors = np.sqrt(np.einsum("ai,ij,aj->a", by / steps, covariance, by / steps))
     names = ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle")
-    columns = {"name": names, "value": values, "error": errors}
-    table = Table(columns | {"unit": ("pix", "pix", "pix", "", "deg")})
+    units = ("pix", "pix", "pix", "", "deg")
+    table = Table({"name": names, "value": values, "error": errors, "unit": units})
     table["value"].info.format, table["error"].info.format = ".4g", ".2g"
     return table
 

@@ -67,9 +67,8 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
-    error = series.flux_err
-    if flux_err is not None:
-        error = plain_array(flux_err, u.electron / u.s, "flux_err")
+    given = series.flux_err if flux_err is None else flux_err
+    error = plain_array(given, u.electron / u.s, "flux_err")
     try:
         error = np.broadcast_to(error, flux.shape)
     except ValueError:
@@ -102,8 +101,7 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
 
 
 def _drop_bad_errors(flux, error):
-    with np.errstate(invalid="ignore"):
-        bad = np.isfinite(flux) & ~(np.isfinite(error) & (error > 0))
+    bad = np.isfinite(flux) & ~(np.isfinite(error) & (error > 0))
     if not bad.any():
         return
     if bad.sum() == np.isfinite(flux).sum():
@@ -116,8 +114,7 @@ def _drop_bad_errors(flux, error):
 
 def _drop_saturated(flux, limit):
     """Leave out the columns of pixels whose wells are full: the light runs along them."""
-    with np.errstate(invalid="ignore"):
-        full = flux > limit
+    full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
     if columns.size:
         listed = ", ".join(map(str, columns))

@@ -367,8 +367,7 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
-        given = {"saturation": options.saturation, "moved": moved}
-        given["n_free"] = n_free + len(others)
+        given = {"saturation": options.saturation, "moved": moved, "n_free": n_free + len(others)}
         stamps.append(_start.read_data(item, flux_err, detectors[-1], **given))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")

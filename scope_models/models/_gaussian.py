@@ -169,9 +169,7 @@ def _line_images(x, y, parameters, coefficients, out):
 
 
 def _reached(pixels, center, sigma):
-    """Slice of the pixels that any of the densities reaches."""
-    if not (pixels[1:] > pixels[:-1]).all():
-        return slice(0, pixels.size)
+    """Slice of the pixels, in rising order, that any of the densities reaches."""
     reach = REACH * sigma.max() + 0.5
     start, stop = pixels.searchsorted([center.min() - reach, center.max() + reach])
     return slice(int(start), int(stop))
@@ -193,7 +191,7 @@ def _evaluate(x, y, parameters, coefficients, n_images):
     series = uses_series(flat[2], flat[4], degree)
     step = max(n, 1)
     if not series:
-        n_nodes = max(x.size * y.size, 1) * _line_nodes(flat[2], flat[4], degree)[0].size
+        n_nodes = x.size * y.size * _line_nodes(flat[2], flat[4], degree)[0].size
         step = max(1, _LINE_CHUNK // n_nodes)
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):

@@ -247,9 +247,8 @@ class PRFGrid(Value):
             for hdu in hdus:
                 if hdu.is_image and hdu.header.get("NAXIS") == 2:
                     step = _card(hdu.header, "CDELT1P", path), _card(hdu.header, "CDELT2P", path)
-                    samples = np.asarray(hdu.data, dtype=float)
-                    table = TabulatedPRF(samples, tuple(round(1 / s, 6) for s in step[::-1]))
-                    tables.append(table)
+                    oversampling = tuple(round(1 / s, 6) for s in step[::-1])
+                    tables.append(TabulatedPRF(hdu.data, oversampling))
                     places.append([_card(hdu.header, f"CRVAL{i}P", path) for i in (1, 2)])
         if not tables:
             raise ValueError(f"{path} holds no PRF images")

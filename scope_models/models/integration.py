@@ -144,8 +144,7 @@ def integrate_density(term, points, evaluate=None):
     totals = _rule(*squares)
     tolerance = _TOLERANCE * np.bincount(image, np.abs(totals))[image]
     integrals = _refined(*squares, totals, tolerance)
-    integrals = integrals.reshape(near.size**2, -1).sum(axis=0)
-    integrals = integrals.reshape(*lead, *points.shape)
+    integrals = integrals.reshape(near.size**2, *lead, *points.shape).sum(axis=0)
     return integrals if units[-1] is None else integrals * units[-1]
 
 

@@ -485,7 +485,6 @@ class PRF(StarModel):
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)
-        values = {name: without_unit(value_of(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
         unit = getattr(given["flux"], "unit", None)
@@ -499,7 +498,7 @@ class PRF(StarModel):
         except ValueError as error:
             message = f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
             raise ValueError(message) from error
-        images = self._images(PixelPoints.from_shape(shape), values | own)
+        images = self._images(PixelPoints.from_shape(shape), numbers_of(self) | own)
         return images if unit is None else images * unit
 
     def bounding_box(self):
