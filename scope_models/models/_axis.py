@@ -153,10 +153,8 @@ def _chebyshev_vandermonde(x, n):
     return table[:n]
 
 
-@lru_cache(maxsize=32)
-def _known_panels(*_):
-    """Return the panels of the arguments: stars of the same PSF share them."""
-    return {}
+# The panels of the arguments: stars of the same PSF share them.
+_known_panels = lru_cache(maxsize=32)(lambda *_: {})
 
 
 class AxisPanels:

@@ -201,10 +201,9 @@ class Term:
         for factor in self.sensitivities:
             if "sigma_d" in factor.values:
                 continue
-            names, numbers = list(factor.values), [float(v) for v in factor.values.values()]
-            n_x = names.index("ay0")
-            along_x = np.convolve(along_x, numbers[:n_x])
-            along_y = np.convolve(along_y, numbers[n_x:])
+            numbers = {name: float(value) for name, value in factor.values.items()}
+            along_x = np.convolve(along_x, [v for name, v in numbers.items() if name[1] == "x"])
+            along_y = np.convolve(along_y, [v for name, v in numbers.items() if name[1] == "y"])
         return along_x, along_y
 
 

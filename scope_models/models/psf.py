@@ -295,24 +295,20 @@ class GaussHermitePSF(StarModel):
                 np.broadcast_to(p, shape).reshape(-1) if np.size(p) > 1 else np.reshape(p, -1)
                 for p in (sigma_x, sigma_y)
             ]
-            n_images = 5 + len(places) if derivatives else 1
-            images = np.empty((n_images, flat[0].size, y.size, x.size))
+            images = np.empty((5 + len(places) if derivatives else 1, flat[0].size, y.size, x.size))
             n = self.order + (3 if derivatives else 1)
-            along = np.atleast_1d(along_x), np.atleast_1d(along_y)
+            along = zip((x, y), flat, widths, map(np.atleast_1d, (along_x, along_y)), strict=True)
+            axes = [axis_table(*given, n) for given in along]
             for start in range(0, flat[0].size, _BATCH):
                 part = slice(start, start + _BATCH)
-                wide = [width[part] if width.size > 1 else width for width in widths]
-                tables = [
-                    axis_table(pixels, centers[part], *others, n)(slice(None)).transpose(0, 2, 1)
-                    for pixels, centers, *others in zip((x, y), flat, wide, along, strict=True)
-                ]
+                tables = [axis(part).transpose(0, 2, 1) for axis in axes]
                 if derivatives:
-                    wide = [width[:, np.newaxis, np.newaxis] for width in wide]
+                    wide = [w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths]
                     parts = _derivatives(*tables, *wide, matrix, places, _outer_pixels)
                     images[:, part] = np.stack(parts)
                 else:
                     images[0, part] = _outer_pixels(tables[0], tables[1] @ matrix)
-            images = images.reshape((n_images, *shape, y.size, x.size))
+            images = images.reshape((len(images), *shape, y.size, x.size))
             return images if derivatives else images[0]
 
         return engine

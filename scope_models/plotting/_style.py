@@ -69,8 +69,9 @@ def legend_above(ax, **options):
 def scale_to(ax, *series):
     """Scale the ordinate to all but the outermost half percent of the values."""
     values = np.concatenate([np.ravel(part) for part in series]).astype(float)
-    if np.isfinite(values).any():
-        low, high = np.nanpercentile(values[np.isfinite(values)], (0.5, 99.5))
+    values = values[np.isfinite(values)]
+    if values.size:
+        low, high = np.percentile(values, (0.5, 99.5))
         margin = 0.3 * (high - low) or 0.01 * abs(high) or 1.0
         ax.set_ylim(low - margin, high + margin)
 
