@@ -9,6 +9,8 @@ from functools import cache, lru_cache
 import numpy as np
 from scipy.special import erf
 
+from scope_models._values import frozen
+
 __all__ = [
     "FEW", "ROWS", "AxisPanels", "axis_direct", "axis_table", "gauss_legendre", "gaussian_nodes",
     "hermite_functions", "horner",
@@ -34,9 +36,7 @@ _MOST_NODES = 1000
 def gauss_legendre(n):
     """Nodes in (-1/2, 1/2) and weights of sum 1 of the Gauss-Legendre rule of n nodes."""
     nodes, weights = np.polynomial.legendre.leggauss(n)
-    nodes, weights = nodes / 2, weights / 2
-    nodes.flags.writeable = weights.flags.writeable = False
-    return nodes, weights
+    return frozen(nodes / 2), frozen(weights / 2)
 
 
 def gaussian_nodes(scale, degree):

@@ -8,6 +8,7 @@ from operator import add
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Model
+from numpy.polynomial import Polynomial
 
 from scope_models._arrays import plain_array, without_unit
 from scope_models._checks import checked_choice
@@ -150,18 +151,14 @@ def integrate_density(term, points, evaluate=None):
 
 def integrate_term(term, points, method="auto"):
     """Integrate one term by a method of `integrate_pixels`: ``(..., *points.shape)``."""
-    along_x, along_y = term.polynomials()
     if not term.densities:
-        mean_x, mean_y = (
-            sum(c * (0.5 ** (n + 1) - (-0.5) ** (n + 1)) / (n + 1) for n, c in enumerate(row))
-            for row in (along_x, along_y)
-        )
-        return _spread(term.scale, points) * np.full(points.shape, mean_x * mean_y)
+        means = [Polynomial(row).integ(lbnd=-0.5)(0.5) for row in term.polynomials()]
+        return _spread(term.scale, points) * np.full(points.shape, np.prod(means))
     if any(is_pixel_integrated(factor.model) for factor in term.densities):
         return _spread(term.scale, points) * _already_integrated(term, points)
     form = None if method == "quadrature" else term.closed_form()
     if form is not None:
-        images = points.apply(form.pixels, form.parameters, (along_x, along_y))
+        images = points.apply(form.pixels, form.parameters, term.polynomials())
         factor = _spread(term.scale * form.flux, points)
         fits = np.broadcast_shapes(images.shape, np.shape(factor)) == images.shape
         in_place = fits and not isinstance(factor, u.Quantity)

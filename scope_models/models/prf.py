@@ -216,8 +216,7 @@ class PRF(StarModel):
             compound = Const2D(float(compound.flux.value)) * parts
         terms = [term for term in expand(compound) if np.any(term.scale)]
         _check_compound(compound, terms)
-        self._components = _components_of(terms)
-        self._responses = list({id(r): r for c in self._components for r in c.responses}.values())
+        self._components, self._responses = _parts_of(terms)
         first = terms[0].densities[0].model
         fluxes = [term.scale * value_of(term.densities[0].model.flux) for term in terms]
         total = sum(fluxes[1:], start=fluxes[0])
@@ -322,8 +321,7 @@ class PRF(StarModel):
         A density or a sum of densities; a table of a PRF stands for itself.
         """
         values = self._own_or()
-        fractions = zip(self._components, self._fractions(values), strict=True)
-        return reduce(add, (c.at(values, fraction) for c, fraction in fractions))
+        return reduce(add, (c.at(values, fraction) for c, fraction in self._parts(values)))
 
     @property
     def sensitivity(self):
@@ -363,13 +361,14 @@ class PRF(StarModel):
             raise ValueError(f"`values` has no parameter {', '.join(sorted(unknown))}")
         return own | {name: float(value) for name, value in (values or {}).items()}
 
-    def _fractions(self, values):
+    def _parts(self, values):
+        """The components, each with its part of the flux."""
         others = [values[c.fraction] for c in self._components if c.fraction]
-        return [1.0 - sum(others), *others]
+        return zip(self._components, [1.0 - sum(others), *others], strict=True)
 
     def _images(self, points, values):
         total = None
-        for component, fraction in zip(self._components, self._fractions(values), strict=True):
+        for component, fraction in self._parts(values):
             image = integrate_term(component.term(values, values["flux"] * fraction), points)
             total = image if total is None else np.add(total, image, out=total)
         return total
@@ -402,7 +401,7 @@ class PRF(StarModel):
     def _unit_derivatives(self, points, values):
         """Images of unit flux, and their derivatives by parameter, without the flux."""
         total, derivatives, images = 0.0, {}, []
-        for component, fraction in zip(self._components, self._fractions(values), strict=True):
+        for component, fraction in self._parts(values):
             image, own = component.derivatives(points, values)
             images.append(image)
             total = total + fraction * image
@@ -550,8 +549,8 @@ def _table_at(grid, column, row):
     return grid.at(column, row)
 
 
-def _components_of(terms):
-    """The components of a compound, with names for their parameters."""
+def _parts_of(terms):
+    """The components and the sensitivities of a compound, with names for their parameters."""
     factors = [factor for term in terms for factor in term.sensitivities]
     models = list({id(factor.model): factor.model for factor in factors}.values())
     responses = {}
@@ -563,16 +562,12 @@ def _components_of(terms):
     for k, term in enumerate(terms):
         model = term.densities[0].model
         suffix = f"_{k}" if len(terms) > 1 else ""
-        components.append(
-            _Component(
-                model=model.copy(),
-                shape={n: n + suffix for n in model.param_names if n not in _POSITION},
-                fraction=f"flux_fraction_{k}" if k else None,
-                offsets=(f"x_offset_{k}", f"y_offset_{k}") if k else (),
-                responses=tuple(responses[id(factor.model)] for factor in term.sensitivities),
-            )
-        )
-    return components
+        shape = {name: name + suffix for name in model.param_names if name not in _POSITION}
+        fraction = f"flux_fraction_{k}" if k else None
+        offsets = (f"x_offset_{k}", f"y_offset_{k}") if k else ()
+        own = tuple(responses[id(factor.model)] for factor in term.sensitivities)
+        components.append(_Component(model.copy(), shape, fraction, offsets, own))
+    return components, list(responses.values())
 
 
 def _check_compound(compound, terms):
