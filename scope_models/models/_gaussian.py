@@ -28,8 +28,8 @@ import numpy as np
 from scope_models.models._axis import axis_direct, axis_table, gauss_legendre, gaussian_nodes
 
 __all__ = [
-    "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "n_terms", "series_step",
-    "uses_series",
+    "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "moved", "n_terms",
+    "series_step", "uses_series", "widened",
 ]  # fmt: skip
 
 # The series is cut where the rest is below this part of the total flux.
@@ -85,17 +85,17 @@ def series_step(n_terms, x, y):
     return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size, 1)), _FEWEST), _MOST)
 
 
-def _moved(table, sigma):
-    """Derivative of all orders but the last two with respect to the position."""
-    order = np.arange(1.0, table.shape[1] - 1)[:, np.newaxis]
-    return np.sqrt(order) * table[:, 1:-1] / sigma[:, np.newaxis, np.newaxis]
+def moved(table, sigma):
+    """Derivative of all orders but the last two, on the axis before the last, by the position."""
+    order = np.arange(1.0, table.shape[-2] - 1)[:, np.newaxis]
+    return np.sqrt(order) * table[..., 1:-1, :] / sigma
 
 
-def _widened(table, sigma):
+def widened(table, sigma):
     """Derivative of all orders but the last two with respect to the width."""
-    order = np.arange(table.shape[1] - 2.0)[:, np.newaxis]
-    change = order * table[:, :-2] + np.sqrt((order + 1) * (order + 2)) * table[:, 2:]
-    return change / sigma[:, np.newaxis, np.newaxis]
+    order = np.arange(table.shape[-2] - 2.0)[:, np.newaxis]
+    change = order * table[..., :-2, :] + np.sqrt((order + 1) * (order + 2)) * table[..., 2:, :]
+    return change / sigma
 
 
 def _series_images(x, y, parameters, coefficients, out):
@@ -116,12 +116,14 @@ def _series_images(x, y, parameters, coefficients, out):
         contract(base_y, base_x, out[0, part])
         if not slopes:
             continue
-        wide_x, wide_y = (s if s.size == 1 else s[part] for s in (sigma_x, sigma_y))
+        wide_x, wide_y = (
+            s if s.size == 1 else s[part, np.newaxis, np.newaxis] for s in (sigma_x, sigma_y)
+        )
         pairs = [
-            (base_y, _moved(x_table, wide_x)),
-            (weight * _moved(y_table, wide_y), base_x),
-            (base_y, _widened(x_table, wide_x)),
-            (weight * _widened(y_table, wide_y), base_x),
+            (base_y, moved(x_table, wide_x)),
+            (weight * moved(y_table, wide_y), base_x),
+            (base_y, widened(x_table, wide_x)),
+            (weight * widened(y_table, wide_y), base_x),
             (weight * order * y_table[:, 1:-1], x_table[:, 1:-1]),
         ]
         for pair, image in zip(pairs, out[1:], strict=True):

@@ -9,8 +9,8 @@ from astropy.modeling import Parameter
 from scipy.special import roots_genlaguerre
 
 from scope_models._checks import checked_integer, checked_number
+from scope_models.models import _gaussian
 from scope_models.models._axis import axis_table, hermite_functions
-from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
 from scope_models.models._parameters import Domain, StarModel, gaussian_box, make_coefficients
 from scope_models.models._terms import ClosedForm, one_number, pixels_of
 
@@ -123,7 +123,7 @@ class BivariateGaussianPSF(StarModel):
         """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
-        engines = gaussian_pixels, gaussian_derivatives
+        engines = _gaussian.gaussian_pixels, _gaussian.gaussian_derivatives
         return ClosedForm(values["flux"], parameters, *engines, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
@@ -276,12 +276,12 @@ class GaussHermitePSF(StarModel):
 
     def fit_deriv(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
         """Derivatives of the density with respect to the parameters, in their order."""
-        tables = []
-        for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):
-            table = hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 3)
-            tables.append(np.moveaxis(table, 0, -1) / sigma)
-        given = *tables, sigma_x, sigma_y, self._matrix(coefficients), self._places
-        unit, *parts = _derivatives(*given, lambda x, y: np.sum(x * y, axis=-1))
+        z = np.broadcast_arrays((x - x_0) / sigma_x, (y - y_0) / sigma_y)
+        tables = (hermite_functions(u.ravel(), self.order + 3) for u in z)
+        x_table, y_table = (t / sigma for t, sigma in zip(tables, (sigma_x, sigma_y), strict=True))
+        matrix = self._matrix(coefficients)
+        pairs = _pairs(x_table, y_table, sigma_x, sigma_y, matrix, self._places)
+        unit, *parts = (np.sum(a * b, axis=0).reshape(z[0].shape) for a, b in pairs)
         return [unit, *(flux * part for part in parts)]
 
     def _engine(self, coefficients, *, derivatives=False):
@@ -301,13 +301,14 @@ class GaussHermitePSF(StarModel):
             axes = [axis_table(*given, n) for given in along]
             for start in range(0, flat[0].size, _BATCH):
                 part = slice(start, start + _BATCH)
-                tables = [axis(part).transpose(0, 2, 1) for axis in axes]
+                x_table, y_table = (axis(part) for axis in axes)
                 if derivatives:
-                    wide = [w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths]
-                    parts = _derivatives(*tables, *wide, matrix, places, _outer_pixels)
-                    images[:, part] = np.stack(parts)
+                    wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
+                    pairs = _pairs(x_table, y_table, *wide, matrix, places)
                 else:
-                    images[0, part] = _outer_pixels(tables[0], tables[1] @ matrix)
+                    pairs = [(matrix.T @ y_table, x_table)]
+                for pair, image in zip(pairs, images, strict=True):
+                    _gaussian.contract(*pair, image[part])
             images = images.reshape((len(images), *shape, y.size, x.size))
             return images if derivatives else images[0]
 
@@ -326,31 +327,19 @@ class GaussHermitePSF(StarModel):
         return gaussian_box(self, factor + np.sqrt(self.order))
 
 
-def _outer_pixels(along_x, along_y):
-    """Sum over the orders on a grid: ``(m, nx, k), (m, ny, k) -> (m, ny, nx)``."""
-    return along_y @ along_x.transpose(0, 2, 1)
+def _pairs(x_table, y_table, sigma_x, sigma_y, matrix, places):
+    """Tables along y and x whose products, summed over the orders, are the image of unit flux.
 
-
-def _derivatives(x_table, y_table, sigma_x, sigma_y, matrix, places, outer):
-    """Unit image, and its derivatives by position, widths and coefficients.
-
-    The tables hold two orders more than the matrix, on the last axis. With
-    ``dh_k/dz = -sqrt(k + 1) h_{k + 1}``, all are sums of the same functions.
+    And its derivatives by position, widths and coefficients. The tables hold two orders more than
+    the matrix, on the axis before the last.
     """
-    n = len(matrix)
-    order = np.arange(n)
-    rise, twice = np.sqrt(order + 1), np.sqrt((order + 1) * (order + 2))
-    base_x, base_y = x_table[..., :n], y_table[..., :n]
-    moved_x, moved_y = rise * x_table[..., 1 : n + 1], rise * y_table[..., 1 : n + 1]
-    wide_x = order * base_x + twice * x_table[..., 2:]
-    wide_y = order * base_y + twice * y_table[..., 2:]
-    weighted = base_y @ matrix
-    images = [
-        outer(base_x, weighted),
-        outer(moved_x, weighted) / sigma_x,
-        outer(base_x, moved_y @ matrix) / sigma_y,
-        outer(wide_x, weighted) / sigma_x,
-        outer(base_x, wide_y @ matrix) / sigma_y,
+    base_x, base_y = x_table[..., :-2, :], y_table[..., :-2, :]
+    weighted = matrix.T @ base_y
+    return [
+        (weighted, base_x),
+        (weighted, _gaussian.moved(x_table, sigma_x)),
+        (matrix.T @ _gaussian.moved(y_table, sigma_y), base_x),
+        (weighted, _gaussian.widened(x_table, sigma_x)),
+        (matrix.T @ _gaussian.widened(y_table, sigma_y), base_x),
+        *((base_y[..., [m], :], base_x[..., [k], :]) for k, m in places),
     ]
-    images += [outer(base_x[..., k : k + 1], base_y[..., m : m + 1]) for k, m in places]
-    return images
