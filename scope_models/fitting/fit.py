@@ -203,15 +203,15 @@ def fit_tpf(
 
 def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     """Return the kind of response, the solutions of all models of few cadences, and the best."""
-    choice = {"any_psf": any_psf, "any_response": any_response}
-    left = all(choice.values()) and sensitivity is None and problem.options.focus is None
+    left = any_psf and any_response and sensitivity is None and problem.options.focus is None
     seen = _is_seen(problem)
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
+        choice = {"any_psf": any_psf, "any_response": any_response}
         candidates = _candidates(problem, sensitivity, simple=simple, **choice)
         if not seen:  # no model is better than another
             candidates = [(next(candidates)[0], _FEW_STEPS)]
-        tried = _tried(candidates, steps, few=any_psf, **choice)
+        tried = _tried(candidates, steps, few=any_psf, doubtful=any_psf and any_response)
         few = tried[0].problem
         if not simple or _is_true(tried[0], strictly=True):
             if len(few.flux) == len(problem.flux):
@@ -222,7 +222,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
     rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
-    tried = _tried(rough, steps, few=True, **choice)
+    tried = _tried(rough, steps, few=True)
     return "pixels", tried, tried[0]
 
 
@@ -263,7 +263,7 @@ def _held(problem):
     return {"positions": "prior", "position_error": error, "scale_error": _HELD}
 
 
-def _tried(candidates, steps, *, few, any_psf, any_response):
+def _tried(candidates, steps, *, few, doubtful=False):
     """Fit models until one describes some of the pixels; return the solutions by rank.
 
     They have the cadences that a choice needs; a guess, without ``few``, up to twice as many.
@@ -277,8 +277,8 @@ def _tried(candidates, steps, *, few, any_psf, any_response):
         enough = max(min(_FEW // len(problem.stars), values), _FEWEST)
         every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
         thin = replace(problem, stamps=tuple(s[::every] for s in problem.stamps))
-        tried.append(_fitted(thin, steps, most, doubtful=any_psf and any_response))
-        if _is_true(tried[-1], strictly=any_psf):
+        tried.append(_fitted(thin, steps, most, doubtful=doubtful))
+        if _is_true(tried[-1], strictly=few):
             break
     return sorted(tried, key=_rank)
 

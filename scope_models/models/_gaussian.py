@@ -21,15 +21,13 @@ density they are evaluated at Chebyshev nodes and interpolated, with as many nod
 last coefficients below the rounding error.
 """
 
-from math import prod
-
 import numpy as np
 
 from scope_models.models._axis import axis_direct, axis_table, gauss_legendre, gaussian_nodes
 
 __all__ = [
-    "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "moved", "n_terms",
-    "series_step", "uses_series", "widened",
+    "REACH", "contract", "flattened", "gaussian_derivatives", "gaussian_pixels", "moved",
+    "n_terms", "series_step", "uses_series", "widened",
 ]  # fmt: skip
 
 # The series is cut where the rest is below this part of the total flux.
@@ -177,15 +175,22 @@ def _reached(pixels, center, sigma):
     return slice(int(start), int(stop))
 
 
-def _evaluate(x, y, parameters, coefficients, n_images):
-    """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
+def flattened(parameters):
+    """The common shape of parameters, and each as ``(n,)``; one number stays one, for speed.
+
+    The first two are positions, which are always ``(n,)``.
+    """
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
-    n = prod(shape)
-    # A parameter common to all densities stays a single number for speed; not the positions.
-    common = [p.size == 1 and i > 1 for i, p in enumerate(parameters)]
-    pairs = zip(parameters, common, strict=True)
-    flat = [p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n) for p, alone in pairs]
+    places = [np.broadcast_to(p, shape) for p in parameters[:2]]
+    others = [p if p.size == 1 else np.broadcast_to(p, shape) for p in parameters[2:]]
+    return shape, [p.reshape(-1) for p in places + others]
+
+
+def _evaluate(x, y, parameters, coefficients, n_images):
+    """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
+    shape, flat = flattened(parameters)
+    n = flat[0].size
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
     singular = np.abs(flat[4]) >= 1
@@ -198,7 +203,7 @@ def _evaluate(x, y, parameters, coefficients, n_images):
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
-        values = [p if alone else p[part] for p, alone in zip(flat, common, strict=True)]
+        values = [p if p.size == 1 else p[part] for p in flat]
         columns = _reached(x, values[0], values[2])
         rows = _reached(y, values[1], values[3])
         if columns.start < columns.stop and rows.start < rows.stop:

@@ -289,19 +289,14 @@ class GaussHermitePSF(StarModel):
         matrix, places = self._matrix(coefficients), self._places
 
         def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
-            shape = np.broadcast_shapes(*map(np.shape, (x_0, y_0, sigma_x, sigma_y)))
-            flat = [np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0)]
-            widths = [
-                np.broadcast_to(p, shape).reshape(-1) if np.size(p) > 1 else np.reshape(p, -1)
-                for p in (sigma_x, sigma_y)
-            ]
-            images = np.empty((5 + len(places) if derivatives else 1, flat[0].size, y.size, x.size))
+            shape, (x_0, y_0, *widths) = _gaussian.flattened((x_0, y_0, sigma_x, sigma_y))
+            images = np.empty((5 + len(places) if derivatives else 1, x_0.size, y.size, x.size))
             n = self.order + (3 if derivatives else 1)
-            along = zip((x, y), flat, widths, map(np.atleast_1d, (along_x, along_y)), strict=True)
-            axes = [axis_table(*given, n) for given in along]
-            for start in range(0, flat[0].size, _BATCH):
+            x_axis = axis_table(x, x_0, widths[0], np.atleast_1d(along_x), n)
+            y_axis = axis_table(y, y_0, widths[1], np.atleast_1d(along_y), n)
+            for start in range(0, x_0.size, _BATCH):
                 part = slice(start, start + _BATCH)
-                x_table, y_table = (axis(part) for axis in axes)
+                x_table, y_table = x_axis(part), y_axis(part)
                 if derivatives:
                     wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
                     pairs = _pairs(x_table, y_table, *wide, matrix, places)

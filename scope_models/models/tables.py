@@ -12,6 +12,7 @@ from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models.models._axis import gauss_legendre
+from scope_models.models._gaussian import flattened
 from scope_models.models._parameters import StarModel, make_coefficients, numbers_of, value_of
 from scope_models.models._terms import ClosedForm, pixels_of
 
@@ -65,8 +66,7 @@ class _Surface:
 
         Gauss-Legendre rules are exact for the polynomials between the samples.
         """
-        shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
-        x_0, y_0 = (np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0))
+        shape, (x_0, y_0) = flattened((x_0, y_0))
         knots_y, knots_x, coefficients = self.spline.tck
         matrix = np.reshape(coefficients, (len(knots_y) - _DEGREE - 1, -1))
         images = np.empty((3 if derivatives else 1, x_0.size, y.size, x.size))
