@@ -207,8 +207,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     seen = _is_seen(problem)
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
-        choice = {"any_psf": any_psf, "any_response": any_response}
-        candidates = _candidates(problem, sensitivity, simple=simple, **choice)
+        candidates = _candidates(problem, sensitivity, simple, any_psf, any_response)
         if not seen:  # no model is better than another
             candidates = [(next(candidates)[0], _FEW_STEPS)]
         tried = _tried(candidates, steps, few=any_psf, doubtful=any_psf and any_response)
@@ -237,7 +236,7 @@ def _with(problem, prf=None, **options):
     return replace(problem, prf=prf or problem.prf, options=replace(problem.options, **options))
 
 
-def _candidates(problem, sensitivity, *, simple, any_psf, any_response):
+def _candidates(problem, sensitivity, simple, any_psf, any_response):
     """Models to try, the simplest first or only, and how many steps each is worth."""
     plain = {"interpixel": 0.0} if any_response else {}
     if not any_psf:
