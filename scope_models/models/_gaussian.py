@@ -110,21 +110,23 @@ def _series_images(x, y, parameters, coefficients, out):
         part = slice(start, start + step)
         x_table, y_table = x_axis(part), y_axis(part)
         weight = powers if len(powers) == 1 else powers[part]
-        base_x, base_y = x_table[:, :n], weight * y_table[:, :n]
-        contract(base_y, base_x, out[0, part])
         if not slopes:
+            y_table *= weight
+            contract(y_table, x_table, out[0, part])
             continue
+        base_x, base_y = x_table[:, :n], weight * y_table[:, :n]
         wide_x, wide_y = (
             s if s.size == 1 else s[part, np.newaxis, np.newaxis] for s in (sigma_x, sigma_y)
         )
         pairs = [
+            (base_y, base_x),
             (base_y, moved(x_table, wide_x)),
             (weight * moved(y_table, wide_y), base_x),
             (base_y, widened(x_table, wide_x)),
             (weight * widened(y_table, wide_y), base_x),
             (weight * order * y_table[:, 1:-1], x_table[:, 1:-1]),
         ]
-        for pair, image in zip(pairs, out[1:], strict=True):
+        for pair, image in zip(pairs, out, strict=True):
             contract(*pair, image[part])
 
 
