@@ -7,6 +7,7 @@ from scope_models.pixelmodel._scene import (
     MEDIAN_SQUARE,
     Priors,
     between,
+    changed_light,
     improve_shape,
     measure_floor,
     misfit,
@@ -94,21 +95,25 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     priors = Priors(start, sigma)
     part = type(track)(*start[sub].T)
     shape = without_level(shape, part[::10])
-    part = solve_track(shape, part, flux[sub], noise, priors[sub], schedule)
+    steady = flux[sub]
+    part = solve_track(shape, part, steady, noise, priors[sub], schedule)
     for step in range(_SHAPE_STEPS):
         gain = _GAINS[min(step, len(_GAINS) - 1)]
-        shape, part, stuck = _step(shape, part, (flux[sub], noise, priors[sub], schedule), gain)
-        floor = measure_floor(shape, part, flux[sub], variance[sub])
+        shape, part, stuck = _step(shape, part, (steady, noise, priors[sub], schedule), gain)
+        if step >= len(_GAINS):  # neighbors may vary
+            change = _varying(shape, part, flux[sub], noise, priors[sub], schedule, ...)[1]
+            steady = flux[sub] - changed_light(shape, part, change - np.median(change, axis=0))
+        floor = measure_floor(shape, part, steady, variance[sub])
         schedule = max(_FLOORS[min(step + 1, len(_FLOORS) - 1)], floor / 5)
         if step >= 1:
-            noise = _without_hits(shape, part, flux[sub], variance[sub], floor)
+            noise = _without_hits(shape, part, steady, variance[sub], floor)
         if step == 1 and measured.mean() > 0.5:
             errors = part.stacked[:, 1:3] - start[sub, 1:3]
             tight = np.clip(1.5 * max(mad_std(errors, axis=0)), 0.003, _POSITION)
             sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
-        if stuck and step >= len(_GAINS):
+        if stuck and step > len(_GAINS):
             break
-    apart = np.hypot(*shape.neighbors[:, 1:].T) > NEAREST
+    apart = (np.hypot(*shape.neighbors[:, 1:].T) > NEAREST) & (shape.neighbors[:, 0] > 0)
     if known is None and not apart.all():  # the others were bumps of the PRF
         stars = np.median(part.stacked[:, 1:3], axis=0) + shape.neighbors[apart, 1:]
         known = KnownNeighbors(stars, None)
@@ -118,7 +123,11 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     clean = _without_hits(shape, track, flux, variance, floor)
     if np.hypot(*(np.median(track.stacked[use, 1:3], axis=0) - peak)) > NEAREST:
         raise NoLightError("the model has left the target")
-    track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
+    # widths are smooth
+    priors.sigma[:, 3] = np.inf
+    track, _, error = _varying(shape, track, flux, clean, priors, floor, use)
+    priors.mean[:, 3], priors.sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
+    track, change, _ = _varying(shape, track, flux, clean, priors, floor, use)
     return shape, track, np.array(neighbor_images(shape, track, change))
 
 
@@ -162,25 +171,20 @@ def _without_hits(shape, track, flux, variance, floor):
     return np.where(hit & ~often, np.inf, variance)
 
 
-def _varying(time, shape, track, flux, variance, priors, floor, use):
-    """
-    Fit the states with smooth widths, and neighbors that may vary.
+def _varying(shape, track, flux, variance, priors, floor, use):
+    """Fit the states, and changes of the neighbors' fluxes, as `solve_states`.
 
     The variance of each neighbor's flux is what its values have beyond their errors, so that a
     constant one stays constant.
     """
-    m = len(shape.neighbors)
-    change = np.zeros((len(flux), m))
+    change = np.zeros((len(flux), len(shape.neighbors)))
     mean = np.concatenate([priors.mean, change], axis=1)
     sigma = np.concatenate([priors.sigma, np.full_like(change, np.inf)], axis=1)
-    sigma[:, 3] = np.inf
     data = flux, variance
-    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
-    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
     middle = np.median(change[use], axis=0)
     noise = np.median(error[use, 5:] ** 2, axis=0)
     size = np.median((change[use] - middle) ** 2, axis=0) / MEDIAN_SQUARE
     mean[:, 5:] = middle
     sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
-    return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2]
+    return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)

@@ -14,6 +14,7 @@ __all__ = [
     "Shape",
     "Track",
     "between",
+    "changed_light",
     "improve_shape",
     "measure_floor",
     "misfit",
@@ -213,6 +214,12 @@ def neighbor_images(shape, track, change):
     return [flux[:, None, None] * image for flux, image in zip(fluxes, images, strict=True)]
 
 
+def changed_light(shape, track, change):
+    """Return the light of changes of the neighbors' fluxes, ``(n, m)``, in all pixels."""
+    images = _unit_images(shape, track, change.shape[1])
+    return sum(c[:, None, None] * image for c, image in zip(change.T, images, strict=True))
+
+
 def _unit_images(shape, track, count):
     return [
         shape.gains * _star(shape, track.x + dx, track.y + dy, track.width, slopes=False)[0]
@@ -259,8 +266,8 @@ def solve_states(shape, track, change, flux, variance, priors, floor, steps=2):
     precision = priors.sigma**-2.0
     for _ in range(steps):
         images = _unit_images(shape, track, change.shape[1])
-        varying = sum(c[:, None, None] * i for c, i in zip(change.T, images, strict=True))
-        residual, jacobian, light = _linearized(shape, track, flux - varying)
+        steady = flux - sum(c[:, None, None] * i for c, i in zip(change.T, images, strict=True))
+        residual, jacobian, light = _linearized(shape, track, steady)
         more = [image.reshape(len(flux), -1, 1) for image in images]
         jacobian = np.concatenate([jacobian, *more], axis=2)
         weight = _weights(variance, light, floor)
