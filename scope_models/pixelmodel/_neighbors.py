@@ -75,10 +75,10 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     """
     n, pixels = len(flux), (flux[use], variance[use])
     # a first guess without the light around known neighbors, or in pixels of others
-    theirs = known.nearer(peak, flux.shape[1:]) if known else others
+    theirs = others | known.nearer(peak, flux.shape[1:]) if known else others
     (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
-    refit = _first_models(pixels[1], x[use], y[use], follow=not measured.any())
-    shape, track = refit(pixels[0], theirs)
+    refit = _first_models(pixels[1], x[use], y[use], theirs, follow=not measured.any())
+    shape, track = refit(pixels[0])
     shape, track = find_neighbors(shape, track, *pixels, known, refit, others if only else None)
     if not len(shape.neighbors):
         return None
@@ -116,8 +116,9 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     apart = (np.hypot(*shape.neighbors[:, 1:].T) > NEAREST) & (shape.neighbors[:, 0] > 0)
     if known is None and not apart.all():  # the others were bumps of the PRF
         stars = np.median(part.stacked[:, 1:3], axis=0) + shape.neighbors[apart, 1:]
-        known = KnownNeighbors(stars, None)
-        return fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others)
+        return fit_neighbors(
+            time, flux, variance, pos_corr, peak, use, KnownNeighbors(stars, None), others
+        )
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)
@@ -131,15 +132,16 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     return shape, track, np.array(neighbor_images(shape, track, change))
 
 
-def _first_models(variance, x, y, *, follow):
+def _first_models(variance, x, y, others, *, follow):
     """Return a function that makes a first model of the target from images.
 
-    It leaves out pixels, and takes positions to be near x and y but for a shift, or to ``follow``
-    the images.
+    It leaves out pixels, those of others in any case, and takes positions to be near x and y but
+    for a shift, or to ``follow`` the images.
     """
     some = slice(None, None, 1 if follow else 10)
 
     def make(images, left_out=False):
+        left_out = left_out | others
         moved = centroids(np.where(left_out, 0.0, images)[some], x[some], y[some])
         if not follow:
             moved = [a + np.median(b - a[some]) for a, b in zip((x, y), moved, strict=True)]

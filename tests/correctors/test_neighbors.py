@@ -122,6 +122,20 @@ def test_a_neighbor_that_is_brighter(magnitudes, distance):
     assert found.full < 0.03 * raw.full
 
 
+@pytest.mark.parametrize(("order", "seed"), [(1, 213), (-1, 212)])
+def test_neighbors_of_which_one_is_brighter_and_one_varies(order, seed):
+    neighbors = ((2.3, 3.0, 0.2), (-1.4, 3.5, 0.0))[::order]
+    regime = SkyRegime("two", magnitude=15.0, depth=0.01, neighbors=neighbors)
+    sky = make_sky(regime, seed, n_cadences=400)
+    light = np.nanmedian(sky.star_light, axis=0)
+    sky = replace(sky, aperture=light > 0.03 * light.max())
+    corrector = corrected(sky)
+    assert len(corrector.result.neighbors) == 2
+    found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
+    assert found.depth == pytest.approx(1, abs=0.05)
+    assert found.full < 0.05 * raw.full
+
+
 @pytest.mark.parametrize("seed", [12, 13])
 def test_cadences_with_rolling_bands_beside_a_neighbor(seed):
     """Their pixels say nothing of the motion, which goes on."""
