@@ -128,7 +128,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
         for k, size in zip(peak, typical.shape, strict=True)
     )
-    flux, error = pixels.flux[usable][:, *box], pixels.flux_err[usable][:, *box]
+    flux = without_background(pixels.flux[usable])[:, *box]
+    error = pixels.flux_err[usable][:, *box]
     good = np.isfinite(flux) & (error > 0)
     good[pixels.banded[usable]] = False
     flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2

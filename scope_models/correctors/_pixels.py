@@ -191,7 +191,8 @@ def without_background(flux):
     terms = _plane_terms(flux.shape[1:])
     if dark.sum() < FEWEST_DARK:
         terms = terms[:, :, :1]
-    more = (flux[:, dark] - typical[dark]) @ np.linalg.pinv(terms[dark]).T
+    change = flux[:, dark] - typical[dark]
+    more = np.where(np.isfinite(change), change, 0.0) @ np.linalg.pinv(terms[dark]).T
     return (
         flux
         - background_plane(typical)

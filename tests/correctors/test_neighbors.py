@@ -27,6 +27,13 @@ def corrected(sky, *arguments, **options):
     return corrector
 
 
+def true_share(sky, corrector):
+    """Return the star's part of the light in the corrector's aperture."""
+    lights = sky.star_light, sky.neighbor_light
+    own, others = (np.nansum(light[:, corrector.aperture_mask]) for light in lights)
+    return own / (own + others)
+
+
 @pytest.fixture(scope="module")
 def neighbor():
     """Return an RR Lyrae star with a neighbor 1 mag fainter, and its correction."""
@@ -116,7 +123,7 @@ def test_a_neighbor_that_is_brighter(magnitudes, distance):
     light = np.nanmedian(sky.star_light, axis=0)
     sky = replace(sky, aperture=light > 0.03 * light.max())
     corrector = corrected(sky)
-    assert len(corrector.result.neighbors) == 1
+    assert corrector.result.crowding == pytest.approx(true_share(sky, corrector), abs=0.005)
     found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
     assert found.amplitude == pytest.approx(1, abs=0.003)  # 0.0014
     assert found.full < 0.03 * raw.full
@@ -130,7 +137,7 @@ def test_neighbors_of_which_one_is_brighter_and_one_varies(order, seed):
     light = np.nanmedian(sky.star_light, axis=0)
     sky = replace(sky, aperture=light > 0.03 * light.max())
     corrector = corrected(sky)
-    assert len(corrector.result.neighbors) == 2
+    assert corrector.result.crowding == pytest.approx(true_share(sky, corrector), abs=0.005)
     found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
     assert found.depth == pytest.approx(1, abs=0.05)
     assert found.full < 0.05 * raw.full
@@ -228,6 +235,13 @@ def test_transits_are_not_diluted():
     inside = dimming[keep] > 0
     depth = np.nanmedian(change[inside]) - np.nanmedian(change[~inside])
     assert depth / own == pytest.approx(0.02, rel=0.04)
+
+
+def test_a_sloping_background_is_no_neighbor():
+    sky = make_sky("k2-1x-background", 2015, n_cadences=1500)
+    corrector = corrected(sky)
+    assert corrector.result.neighbors is None
+    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(1, abs=0.005)
 
 
 def test_a_ghost_in_masked_cadences_is_no_neighbor(constant):
