@@ -120,7 +120,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
         if known[usable].any():
             reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
-    apart = neighbors is None and _holds_constant_light(pixels, usable, pos_corr)
+    light = without_background(pixels.flux[usable])
+    apart = neighbors is None and _holds_constant_light(light[:, pixels.aperture], pos_corr)
     if neighbors is None and not apart and pixels.own.all():
         return None
     typical, peak = _peak(pixels)
@@ -128,8 +129,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
         for k, size in zip(peak, typical.shape, strict=True)
     )
-    flux = without_background(pixels.flux[usable])[:, *box]
-    error = pixels.flux_err[usable][:, *box]
+    flux, error = light[:, *box], pixels.flux_err[usable][:, *box]
     good = np.isfinite(flux) & (error > 0)
     good[pixels.banded[usable]] = False
     flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2
@@ -166,13 +166,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     return NeighborLight(table, light, positions)
 
 
-def _holds_constant_light(pixels, usable, pos_corr):
-    """Return whether the star varies, and pixels of its aperture hold light that does not.
+def _holds_constant_light(light, pos_corr):
+    """Return whether a star varies, and pixels of its aperture, ``(n, m)``, hold constant light.
 
     A star's pixels are its light times functions of position. Centroids follow constant light, so
     that only POS_CORR counts. The star varies if that is more than errors of POS_CORR make.
     """
-    light = np.nan_to_num(without_background(pixels.flux[usable])[:, pixels.aperture])
+    light = np.nan_to_num(light)
     total = light.sum(axis=1)
     light, total = light / np.median(total), total / np.median(total)
     functions = np.ones((len(total), 1))

@@ -356,13 +356,14 @@ class PLDFit:
                 f"{left_out} of {n} cadences are left out of the fit as outliers: the star "
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
-        if self.contamination > _MANY:
-            found.append(
-                f"{100 * self.contamination:.1f} % of the light in the aperture was taken off, "
-                "that of other stars"
-            )
-        crowded = 1 - self.model.pixels.crowding > CONTAMINATED > self.contamination
-        if crowded or self.contrast_error > _MANY:
+        crowded = 1 - self.model.pixels.crowding > CONTAMINATED
+        if self.contamination > CONTAMINATED:
+            if self.contamination > _MANY:
+                found.append(
+                    f"{100 * self.contamination:.1f} % of the light in the aperture was taken off, "
+                    "that of other stars"
+                )
+        elif crowded or self.contrast_error > _MANY:
             part = 1 - self.crowding if crowded else self.contrast_error
             found.append(
                 f"about {100 * part:.0f} % of the light in the aperture is of other stars: depths "

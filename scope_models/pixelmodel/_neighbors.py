@@ -8,6 +8,7 @@ from scope_models.pixelmodel._scene import (
     Priors,
     between,
     changed_light,
+    farthest_from_prior,
     improve_shape,
     measure_floor,
     misfit,
@@ -71,7 +72,7 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     Raises
     ------
     NoLightError
-        If the model describes another star than the one at the peak.
+        If the model describes other stars than the one at the peak and those that were found.
     """
     n, pixels = len(flux), (flux[use], variance[use])
     # a first guess without the light around known neighbors, or in pixels of others
@@ -119,16 +120,14 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
         return fit_neighbors(
             time, flux, variance, pos_corr, peak, use, KnownNeighbors(stars, None), others
         )
+    if known is None and farthest_from_prior(shape) > CLIP:
+        raise NoLightError("the model has left the other stars")
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)
     if np.hypot(*(np.median(track.stacked[use, 1:3], axis=0) - peak)) > NEAREST:
         raise NoLightError("the model has left the target")
-    # widths are smooth
-    priors.sigma[:, 3] = np.inf
-    track, _, error = _varying(shape, track, flux, clean, priors, floor, use)
-    priors.mean[:, 3], priors.sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
-    track, change, _ = _varying(shape, track, flux, clean, priors, floor, use)
+    track, change = _with_smooth_widths(time, shape, track, flux, clean, priors, floor, use)
     return shape, track, np.array(neighbor_images(shape, track, change))
 
 
@@ -171,6 +170,15 @@ def _without_hits(shape, track, flux, variance, floor):
     hit = deviation > CLIP
     often = hit.mean(axis=0) > _MOST_HITS  # here the model errs
     return np.where(hit & ~often, np.inf, variance)
+
+
+def _with_smooth_widths(time, shape, track, flux, variance, priors, floor, use):
+    """Fit states and changes as `_varying`, of which the widths follow a smooth course."""
+    mean, sigma = priors.mean.copy(), priors.sigma.copy()
+    sigma[:, 3] = np.inf
+    track, _, error = _varying(shape, track, flux, variance, Priors(mean, sigma), floor, use)
+    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
+    return _varying(shape, track, flux, variance, Priors(mean, sigma), floor, use)[:2]
 
 
 def _varying(shape, track, flux, variance, priors, floor, use):

@@ -15,6 +15,7 @@ __all__ = [
     "Track",
     "between",
     "changed_light",
+    "farthest_from_prior",
     "improve_shape",
     "measure_floor",
     "misfit",
@@ -216,7 +217,10 @@ def neighbor_images(shape, track, change):
 
 def changed_light(shape, track, change):
     """Return the light of changes of the neighbors' fluxes, ``(n, m)``, in all pixels."""
-    images = _unit_images(shape, track, change.shape[1])
+    return _sum_of(_unit_images(shape, track, change.shape[1]), change)
+
+
+def _sum_of(images, change):
     return sum(c[:, None, None] * image for c, image in zip(change.T, images, strict=True))
 
 
@@ -266,8 +270,7 @@ def solve_states(shape, track, change, flux, variance, priors, floor, steps=2):
     precision = priors.sigma**-2.0
     for _ in range(steps):
         images = _unit_images(shape, track, change.shape[1])
-        steady = flux - sum(c[:, None, None] * i for c, i in zip(change.T, images, strict=True))
-        residual, jacobian, light = _linearized(shape, track, steady)
+        residual, jacobian, light = _linearized(shape, track, flux - _sum_of(images, change))
         more = [image.reshape(len(flux), -1, 1) for image in images]
         jacobian = np.concatenate([jacobian, *more], axis=2)
         weight = _weights(variance, light, floor)
@@ -346,13 +349,24 @@ def _shape_prior(shape, gain):
     first, m, centers = shape.prior_mean, shape.first_neighbors, shape.grid.centers
     half = shape.grid.values(centers / _BROAD)
     prf = (_PRF * np.abs(half @ first @ half.T) + _PRF_LEAST * first.max()).ravel()
-    around = np.stack([_FLUX * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
+    around = _around(m)
     along = (1 - _ROUGH) * np.exp(-0.5 * ((centers[:, None] - centers) / _SMOOTH) ** 2)
     along = np.linalg.inv(along + _ROUGH * np.eye(len(centers)))
     others = np.append(np.full(shape.gains.size, gain), around)
     away = [shape.coefficients - first, shape.gains - 1, shape.neighbors - m]
     precision = block_diag(np.kron(along, along) / np.outer(prf, prf), np.diag(others**-2.0))
     return np.concatenate([part.ravel() for part in away]), precision
+
+
+def _around(neighbors):
+    """Return the prior's standard deviations of fluxes and places."""
+    return np.stack([_FLUX * neighbors[:, 0], *np.full((2, len(neighbors)), _PLACE)], axis=1)
+
+
+def farthest_from_prior(shape):
+    """Return how many standard deviations of its prior a neighbor is away from it, at most."""
+    first = shape.first_neighbors
+    return np.max(np.abs(shape.neighbors - first) / _around(first))
 
 
 def _sums_over_pixels(grid):

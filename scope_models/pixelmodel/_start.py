@@ -77,8 +77,15 @@ def first_track(images, pos_corr, peak):
         ``(n, 2)``; NaN where unknown.
     peak : tuple of float
         Column and row of the target in a typical cadence.
+
+    Raises
+    ------
+    NoLightError
+        If there is no light in any image.
     """
     n, seen = len(images), images.any(axis=(1, 2))
+    if not seen.any():
+        raise NoLightError(_NO_LIGHT)
     column, row = np.full(n, float(peak[0])), np.full(n, float(peak[1]))
     offset = np.zeros((n, 2))
     if pos_corr is not None:
@@ -362,7 +369,7 @@ def _settled(shape, track, flux, variance, found, refit):
     """
     star = np.array([np.median(track.x), np.median(track.y)])
     theirs = KnownNeighbors(star + found[:, 1:], None).nearer(star, flux.shape[1:])
-    change, images = np.full(found.shape, 1e6), flux
+    change, images = np.full(found.shape, 1e6), flux  # larger than any change
     for _ in range(_MOST_TURNS):
         old = track
         try:
