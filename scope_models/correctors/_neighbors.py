@@ -11,6 +11,8 @@ from scope_models.correctors._pixels import without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
+from scope_models.pixelmodel._scene import farthest_from_prior
+from scope_models.pixelmodel._smoothing import CLIP
 from scope_models.pixelmodel._start import KnownNeighbors, NoLightError, centroids
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
@@ -152,7 +154,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     inside = pixels.aperture[box]
     part = np.median(others[:, inside].sum(axis=1) / pixels.total[usable])
     # pixels from which the light rises to the target's peak are mostly its own
-    if not (given or 0 <= part <= 0.5):
+    if not (given or (0 <= part <= 0.5 and farthest_from_prior(shape) < CLIP)):
         return None
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))

@@ -8,7 +8,6 @@ from scope_models.pixelmodel._scene import (
     Priors,
     between,
     changed_light,
-    farthest_from_prior,
     improve_shape,
     measure_floor,
     misfit,
@@ -27,6 +26,7 @@ from scope_models.pixelmodel._start import (
     find_neighbors,
     first_shape,
     first_track,
+    separate,
 )
 
 __all__ = ["fit_neighbors"]
@@ -114,14 +114,12 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
             sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
         if stuck and step > len(_GAINS):
             break
-    apart = (np.hypot(*shape.neighbors[:, 1:].T) > NEAREST) & (shape.neighbors[:, 0] > 0)
-    if known is None and not apart.all():  # the others were bumps of the PRF
+    apart = separate(shape.neighbors, 0.0)
+    if known is None and not apart.all():  # the others were bumps of the PRF, or parts of these
         stars = np.median(part.stacked[:, 1:3], axis=0) + shape.neighbors[apart, 1:]
         return fit_neighbors(
             time, flux, variance, pos_corr, peak, use, KnownNeighbors(stars, None), others
         )
-    if known is None and farthest_from_prior(shape) > CLIP:
-        raise NoLightError("the model has left the other stars")
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)

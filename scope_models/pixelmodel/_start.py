@@ -26,6 +26,7 @@ __all__ = [
     "first_shape",
     "first_track",
     "fit_gaussians",
+    "separate",
 ]
 
 #: Tolerance: widths of the Gaussians whose sum is the first guess, in units of the star's.
@@ -354,7 +355,7 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
             break
         tried = np.concatenate([found, [new]])
         trial = _settled(shape, track, flux, variance, tried, refit)
-        if trial is None or not _separate(trial[2], np.median(trial[1].flux)):
+        if trial is None or not separate(trial[2], _LEAST * np.median(trial[1].flux)).all():
             break
         if places is not None and not _in_places(places, trial[1], *trial[2][:, 1:].T).all():
             break
@@ -381,19 +382,21 @@ def _settled(shape, track, flux, variance, found, refit):
             return *refit(images), found
         before, found = found, _measured(shape, track, flux, variance, found, move=True)
         last, change = change, (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
-        # less at a time where it goes to and fro
+        # less at a time where it oscillates
         back = np.clip(-np.vdot(change, last) / np.vdot(last, last), 0, 1)
         left = flux - _light_of(shape, track, found)
         images = images + (left - images) / (1 + back)
     return None
 
 
-def _separate(found, typical):
-    """Return whether all neighbors are bright enough, and apart from the target and each other."""
-    places = np.concatenate([[[0.0, 0.0]], found[:, 1:]])
-    distance = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-    distance[np.diag_indices_from(distance)] = np.inf
-    return distance.min() > NEAREST and found[:, 0].min() > _LEAST * typical
+def separate(found, least):
+    """Return which neighbors are as bright as this, and apart from the target and brighter ones."""
+    apart = np.zeros(len(found), dtype=bool)
+    for k in np.argsort(-found[:, 0]):
+        stars = np.concatenate([[[0.0, 0.0]], found[apart, 1:]])
+        distance = np.hypot(*(found[k, 1:] - stars).T).min()
+        apart[k] = found[k, 0] > least and distance > NEAREST
+    return apart
 
 
 def _light_of(shape, track, neighbors):
