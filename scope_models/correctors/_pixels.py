@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
-from scope_models.io.pixels import usable_positions
+from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
 from scope_models.pixelmodel._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
 from scope_models.pixelmodel._smoothing import CLIP, quantile
@@ -27,6 +27,7 @@ __all__ = [
     "can_predict",
     "choose_aperture",
     "credible_flux",
+    "nearness",
     "noise_ratios",
     "scatter",
     "typical_image",
@@ -55,6 +56,8 @@ _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
+#: Prior: error of the target's place by the file's coordinates, px.
+_COORDINATES = 1.0
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
@@ -91,7 +94,9 @@ class Pixels:
         Other stars whose light was taken off.
     core : ndarray of bool, optional
         Pixels of the aperture among which the brightest one is the target's, ``(ny, nx)``: those
-        that are in the pipeline's too, if there are any.
+        that are in the pipeline's too, if there are any, and of the star at the file's coordinates.
+    place : ndarray, optional
+        Column and row of the target by these, if that is in the aperture, ``(2,)``.
     """
 
     time: np.ndarray
@@ -108,6 +113,7 @@ class Pixels:
     banded: np.ndarray | None = None
     neighbors: object = None
     core: np.ndarray | None = None
+    place: np.ndarray | None = None
 
     def quiet(self, use):
         """Return the cadences in use without rolling bands, unless these are in most."""
@@ -120,13 +126,13 @@ class Pixels:
         return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
-def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
+def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None):
     """Choose the aperture whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
     stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
     aperture loses with the star's motion least; all without ``pos_corr``, ``(n_cadences, 2)`` px.
-    The target is searched in the pixels of ``pipeline``.
+    The target is searched in the pixels of ``pipeline``, near its ``place`` if that is known.
     """
     if len(flux) < _FEWEST:
         raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
@@ -155,7 +161,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     if not (lit & near).any():
         message = "no pixel of `tpf` is above its noise: no aperture can be chosen"
         raise ValueError(f"{message}, give `aperture_mask`")
-    peak = np.argmax(np.where(lit & near, mean, -np.inf))
+    target = _target_pixels(mean, lit & near, place)
+    peak = np.argmax(np.where(target, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others
     if pos_corr is None:
@@ -163,6 +170,33 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
     near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
     return _most_precise(flux, flux_err, own, around & near, pos_corr)
+
+
+def _target_pixels(image, near, place):
+    """Return those of some pixels from which the light rises to the target's peak.
+
+    The target is the brightest star, of several one at its place by the file's coordinates.
+    """
+    if not _hold(near, place):
+        return near
+    rows, columns = np.indices(image.shape)
+    light = np.clip(image, 0, None) * nearness(columns - place[0], rows - place[1])
+    peak = np.argmax(np.where(near, light, -1.0))
+    return near & own_pixels(image, peak)
+
+
+def _hold(pixels, place):
+    """Return whether the target's place is in pixels, or may be by the coordinates' error."""
+    if place is None:
+        return False
+    rows, columns = np.nonzero(pixels)
+    distance = np.hypot(columns - place[0], rows - place[1])
+    return distance.min(initial=np.inf) < 2 * _COORDINATES
+
+
+def nearness(dx, dy):
+    """Return a relative probability of distances (px) from the place by the file's coordinates."""
+    return (1 + (dx**2 + dy**2) / _COORDINATES**2) ** -2.0
 
 
 def at_one_place(values, pos_corr):
@@ -261,10 +295,11 @@ def aperture_pixels(series, aperture):
     bands = series.mission.quality.rolling_band if series.mission else 0
     banded = (series.quality & bands) != 0
     banded &= banded.mean() < 0.5
+    place = target_place(series)
     if aperture is None:
         dark = ~banded  # rolling bands light up pixels without stars
         positions = None if series.pos_corr is None else series.pos_corr[dark]
-        aperture = choose_aperture(flux[dark], flux_err[dark], series.aperture, positions)
+        aperture = choose_aperture(flux[dark], flux_err[dark], series.aperture, positions, place)
     elif np.ndim(aperture) == 3:
         weights = checked_weights("aperture_mask", aperture, flux.shape)
         aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
@@ -290,21 +325,21 @@ def aperture_pixels(series, aperture):
     places = None if series.pos_corr is None else series.pos_corr[positive]
     core = aperture & series.aperture
     core = core if core.any() else aperture
-    own, crowding = _own_light(flux[positive], aperture, core, places)
+    own, crowding, core = _own_light(flux[positive], aperture, core, places, place)
     if chosen:
-        _compare_pipeline(series, aperture, positive)
+        _compare_pipeline(series, aperture, positive, own)
     return Pixels(
         time, flux, flux_err, aperture, total, total_err, positive, weights, own, crowding, lit,
-        banded, core=core,
+        banded, core=core, place=place if _hold(aperture, place) else None,
     )  # fmt: skip
 
 
 _REMEDY = 'compare `aperture_mask="pipeline"`'
 
 
-def _compare_pipeline(series, aperture, usable):
-    """Warn if the pipeline's aperture has other light than the chosen one."""
-    other = series.aperture
+def _compare_pipeline(series, aperture, usable, own):
+    """Warn if the pipeline's aperture has other light than the chosen one, of the same star."""
+    other = series.aperture & (own | aperture)
     if not other.any() or other.all() or (other == aperture).all():
         return
     with warnings.catch_warnings():
@@ -318,13 +353,17 @@ def _compare_pipeline(series, aperture, usable):
         _warn(f"the brightest star in the aperture is outside of the pipeline's: {_REMEDY}")
 
 
-def warn_of_pipeline(series, aperture, flux):
-    """Warn if a corrected flux has more noise than the raw sum over the pipeline's aperture."""
-    other, good = series.aperture, np.isfinite(flux)
-    if not other.any() or other.all() or (other == aperture).all():
+def warn_of_pipeline(series, pixels, flux, share):
+    """Warn if a corrected flux has more noise than the raw sum over the pipeline's aperture.
+
+    The ``share`` is the part of the light in the aperture that was not taken off; pixels of other
+    stars do not count.
+    """
+    other, good = series.aperture & (pixels.own | pixels.aperture), np.isfinite(flux)
+    if not other.any() or other.all() or (other == pixels.aperture).all():
         return
     its = np.nansum(series.flux[good][:, other], axis=1)
-    sizes = [_jumps(values) for values in (flux[good], its)]
+    sizes = [share * _jumps(flux[good]), _jumps(its)]
     # 0.76: standard deviation of the absolute value of a normal variable over its mean
     if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + CLIP * 0.76 * np.sqrt(2 / len(its)):
         part = sizes[0] / sizes[1]
@@ -337,17 +376,18 @@ def _jumps(flux):
     return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
 
 
-def _own_light(flux, aperture, core, pos_corr):
-    """Return the star's pixels, and the part of the aperture's light that is not in others'."""
+def _own_light(flux, aperture, core, pos_corr, place):
+    """Return the star's pixels, their part of the aperture's light, and those of its peak."""
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
+    core = _target_pixels(image, core, place)
     peak = np.argmax(np.where(core, image, -np.inf))
     others = ~own_pixels(image, peak) & (image > OTHER_STAR * image.flat[peak])
     if others.any() and pos_corr is not None and np.isfinite(pos_corr).any():
         still = np.nan_to_num(at_one_place(flux, pos_corr))  # one that moves far has two peaks
         first = np.argmax(np.where(core, still, -np.inf))
         others &= ~own_pixels(still, first) & (still > OTHER_STAR * still.flat[first])
-    return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum())
+    return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum()), core
 
 
 def can_predict(pixels, saturation, use):

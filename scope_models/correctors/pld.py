@@ -67,7 +67,7 @@ class PLDCorrector(LightkurveNames, Corrector):
     aperture_mask : array_like, optional
         Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
         moving aperture. By default the pixels whose sum is expected to be most precise, of those
-        that the star lights up at some time.
+        that the star at the file's coordinates lights up at some time.
     neighbors : array_like, Table, `~astropy.coordinates.SkyCoord`, path-like or "find", optional
         Other stars, whose light is fitted together with the target's and taken off: columns and
         rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x`` and ``y`` or ``ra`` and
@@ -258,10 +258,11 @@ class PLDCorrector(LightkurveNames, Corrector):
                 flux, flux_err = credible_flux(flux, flux_err, original.flux.value, outliers)
                 lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
                 # transits that a correction uncovers are noise to one of the conventions
-                if (1 - result.contamination) * min(noise_ratios(original, lc)) > WORSE:
+                share = 1 - result.contamination
+                if share * min(noise_ratios(original, lc)) > WORSE:
                     warnings.warn(NOISIER, DetrendingWarning, stacklevel=2)
                 elif self._chosen:
-                    warn_of_pipeline(self._series, pixels.aperture, lc.flux.value)
+                    warn_of_pipeline(self._series, self._pixels, lc.flux.value, share)
         # nothing has failed: only now the corrector changes
         self.corrected_lc = lc
         self.result, self.model = result, result and result.model

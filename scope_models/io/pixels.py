@@ -464,9 +464,10 @@ def target_among(places, series):
 def target_place(series):
     """Return the target's column and row in the stamp by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
-    if None in place:
+    try:
+        return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
+    except (TypeError, ValueError):  # they, or the WCS, are missing or no numbers
         return None
-    return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
 
 
 def place_of(cards, shape):

@@ -39,33 +39,29 @@ class SplineGrid:
         return np.array([self.knots[i + 1 : i + 4].mean() for i in range(self.size)])
 
     @cached_property
-    def _to_slope(self):
-        """Matrix from the splines' coefficients to those of the derivative."""
-        t, k = self.knots, _DEGREE
-        matrix = np.zeros((self.size - 1, self.size))
-        for i in range(self.size - 1):
-            matrix[i, i + 1] = k / (t[i + k + 1] - t[i + 1])
-            matrix[i, i] = -matrix[i, i + 1]
-        return matrix
+    def _splines(self):
+        return BSpline(self.knots, np.eye(self.size), _DEGREE)
+
+    @cached_property
+    def _slopes(self):
+        return self._splines.derivative()
 
     def values(self, u):
         """Return the splines at places of any shape, ``(..., size)``."""
-        return self._sparse(u, self.knots, _DEGREE).toarray().reshape(*u.shape, self.size)
+        return self._splines(self._inside(u))
 
     def slopes(self, u):
         """Return the splines' derivatives at places of any shape, ``(..., size)``."""
-        lower = self._sparse(u, self.knots[1:-1], _DEGREE - 1) @ self._to_slope
-        return np.asarray(lower).reshape(*u.shape, self.size)
+        return self._slopes(self._inside(u))
 
     def few(self, u):
         """Return the four splines that differ from zero at each place: values and indices."""
-        matrix = self._sparse(u, self.knots, _DEGREE)
+        matrix = BSpline.design_matrix(self._inside(u).ravel(), self.knots, _DEGREE)
         shape = (*u.shape, _DEGREE + 1)
         return matrix.data.reshape(shape), matrix.indices.reshape(shape)
 
-    def _sparse(self, u, knots, degree):
-        inside = np.clip(u.ravel(), self.knots[0], self.knots[-1])
-        return BSpline.design_matrix(inside, knots, degree)
+    def _inside(self, u):
+        return np.clip(u, self.knots[0], self.knots[-1])
 
     def interpolate(self, image):
         """Return the coefficients ``(size, size)`` of an image at `centers` (rows, columns)."""

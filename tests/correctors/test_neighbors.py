@@ -129,6 +129,32 @@ def test_a_neighbor_that_is_brighter(magnitudes, distance):
     assert found.full < 0.03 * raw.full
 
 
+@pytest.mark.parametrize("distance", [2.3, 3.0])
+def test_the_target_is_the_star_at_the_coordinates(distance):
+    """Its neighbor is in the file's aperture, and if it is near there is no dip between."""
+    neighbors = ((-1.5, distance, 0.0),)
+    variability = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.3}
+    regime = SkyRegime("bright", magnitude=14.5, neighbors=neighbors, **variability)
+    sky = make_sky(regime, 38, n_cadences=300)
+    light = np.nanmedian(sky.star_light + sky.neighbor_light, axis=0)
+    sky = replace(sky, aperture=light > 0.01 * light.max())
+    corrector = corrected(sky)
+    assert corrector.result.crowding == pytest.approx(true_share(sky, corrector), abs=0.005)
+    found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
+    assert found.amplitude == pytest.approx(1, abs=0.003)  # 0.0014
+    assert found.full < 0.2 * raw.full
+
+
+@pytest.mark.parametrize("ra", [None, "unknown", 200.0])
+def test_coordinates_that_are_no_place_in_the_pixels(ra):
+    """The target is the brightest star."""
+    sky = make_sky(SkyRegime("two", neighbors=((1.0, 3.0, 0.0),)), 35, n_cadences=250)
+    tpf = sky.to_tpf()
+    given = PLDCorrector(tpf).aperture_mask
+    tpf.hdu[0].header["RA_OBJ"] = ra
+    np.testing.assert_array_equal(PLDCorrector(tpf).aperture_mask, given)
+
+
 @pytest.mark.parametrize(("order", "seed"), [(1, 213), (-1, 212)])
 def test_neighbors_of_which_one_is_brighter_and_one_varies(order, seed):
     neighbors = ((2.3, 3.0, 0.2), (-1.4, 3.5, 0.0))[::order]
