@@ -56,7 +56,7 @@ _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
-#: Prior: error of the target's place by the file's coordinates, px.
+#: Prior: error of the target's place by the file's coordinates, px: twice that of eleven real ones.
 _COORDINATES = 1.0
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
