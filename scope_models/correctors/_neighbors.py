@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._pixels import nearness, without_background
+from scope_models.correctors._pixels import without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
@@ -137,14 +137,12 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2
     origin = np.array([box[1].start, box[0].start])
     peak = np.array(peak[::-1]) - origin
-    place = None if pixels.place is None else pixels.place - origin
-    others, only, moved = ~pixels.own[box], neighbors is None and not apart, False
-    data = pixels.time[usable], flux, variance, pos_corr
+    place = None if given or pixels.place is None else pixels.place - origin
+    known = neighbors.within(origin) if given else None
+    only = neighbors is None and not apart
     try:
-        if given:
-            found = fit_neighbors(*data, peak, use, neighbors.within(origin), others)
-        else:
-            found, moved = _fit_at_place(data, peak, use, others, only, place)
+        data = pixels.time[usable], flux, variance, pos_corr
+        found = fit_neighbors(*data, peak, use, known, ~pixels.own[box], only, place)
     except (NoLightError, np.linalg.LinAlgError):
         if not given:
             return None
@@ -154,8 +152,10 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         return None
     shape, track, others = found
     others, stars = others.sum(axis=0), shape.neighbors
-    inside = pixels.aperture[box]
-    part = np.median(others[:, inside].sum(axis=1) / pixels.total[usable])
+    inside = (pixels.aperture & pixels.own)[box]
+    part = others[use][:, inside].sum() / flux[use][:, inside].sum()
+    away = np.median(track.stacked[use, 1:3], axis=0) - peak
+    moved = (np.hypot(*(stars[:, 1:] + away).T) < np.hypot(*away)).any()
     # pixels from which the light rises to the target's peak are mostly its own
     if not (given or ((moved or 0 <= part <= 0.5) and farthest_from_prior(shape) < CLIP)):
         return None
@@ -169,25 +169,6 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     units = ("electron / s", "pix", "pix")
     table = QTable([stars[:, 0], *places.T], names=("flux", "x", "y"), units=units)
     return NeighborLight(table, light, positions)
-
-
-def _fit_at_place(data, peak, use, others, only, place):
-    """Fit the brightest star and neighbors, and once more if one of these is at the target's place.
-
-    Returned are what `fit_neighbors` returns, and whether the star is another one.
-    """
-    found = fit_neighbors(*data, peak, use, None, others, only)
-    if found is None or place is None:
-        return found, False
-    shape, track, _ = found
-    away = np.pad(shape.neighbors[:, 1:], ((1, 0), (0, 0)))
-    stars = np.median(track.stacked[:, 1:3], axis=0) + away
-    light = np.append(np.median(track.flux), shape.neighbors[:, 0])
-    best = np.argmax(light * nearness(*(stars - place).T))
-    if not best:
-        return found, False
-    known = KnownNeighbors(np.delete(stars, best, axis=0), None)
-    return fit_neighbors(*data, stars[best], use, known, others), True
 
 
 def _holds_constant_light(light, pos_corr):

@@ -11,7 +11,14 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
+from scope_models.pixelmodel._position import (
+    COORDINATES,
+    DARK_PART,
+    FEWEST_DARK,
+    dark_plane,
+    nearness,
+    precise_aperture,
+)
 from scope_models.pixelmodel._smoothing import CLIP, quantile
 from scope_models.pixelmodel._star import fit_star
 
@@ -27,7 +34,6 @@ __all__ = [
     "can_predict",
     "choose_aperture",
     "credible_flux",
-    "nearness",
     "noise_ratios",
     "scatter",
     "typical_image",
@@ -56,8 +62,6 @@ _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
-#: Prior: error of the target's place by the file's coordinates, px: twice that of eleven real ones.
-_COORDINATES = 1.0
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
@@ -191,12 +195,7 @@ def _hold(pixels, place):
         return False
     rows, columns = np.nonzero(pixels)
     distance = np.hypot(columns - place[0], rows - place[1])
-    return distance.min(initial=np.inf) < 2 * _COORDINATES
-
-
-def nearness(dx, dy):
-    """Return a relative probability of distances (px) from the place by the file's coordinates."""
-    return (1 + (dx**2 + dy**2) / _COORDINATES**2) ** -2.0
+    return distance.min(initial=np.inf) < 2 * COORDINATES
 
 
 def at_one_place(values, pos_corr):

@@ -3,6 +3,7 @@
 import numpy as np
 from astropy.stats import mad_std
 
+from scope_models.pixelmodel._position import nearness
 from scope_models.pixelmodel._scene import (
     MEDIAN_SQUARE,
     Priors,
@@ -46,7 +47,7 @@ _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
 _MOST_HITS = 0.05
 
 
-def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only=False):
+def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only=False, place=None):
     """
     Return shape, track, and the neighbors' light; None without any.
 
@@ -68,6 +69,9 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
         Pixels that are of other stars.
     only : bool
         Whether other stars are found in these pixels alone.
+    place : ndarray or None
+        Column and row of the target by the file's coordinates: if another one of the stars that are
+        found is there, that is the target.
 
     Raises
     ------
@@ -83,6 +87,10 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     shape, track = find_neighbors(shape, track, *pixels, known, refit, others if only else None)
     if not len(shape.neighbors):
         return None
+    other = None if place is None else _another_target(shape, track, place)
+    if other:
+        peak, known = other
+        return fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others)
     shift = np.median(track.stacked[:, 1:3] - np.column_stack([x, y])[use], axis=0)
     start = np.zeros((n, 5))
     start[:, 0] = np.median(track.flux)
@@ -127,6 +135,22 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
         raise NoLightError("the model has left the target")
     track, change = _with_smooth_widths(time, shape, track, flux, clean, priors, floor, use)
     return shape, track, np.array(neighbor_images(shape, track, change))
+
+
+def _another_target(shape, track, place):
+    """Return the place of a neighbor that is the target by its coordinates, and the other stars.
+
+    None if the target is that.
+    """
+    stars = np.pad(shape.neighbors, ((1, 0), (0, 0)))
+    stars[0, 0] = np.median(track.flux)
+    stars[:, 1:] += np.median(track.stacked[:, 1:3], axis=0)
+    best = np.argmax(stars[:, 0] * nearness(*(stars[:, 1:] - place).T))
+    if not best:
+        return None
+    target, stars = stars[best, 1:], np.delete(stars, best, axis=0)
+    apart = separate(stars - [0.0, *target], 0.0)
+    return target, KnownNeighbors(stars[apart, 1:], None)
 
 
 def _first_models(variance, x, y, others, *, follow):

@@ -6,6 +6,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scope_models.pixelmodel._smoothing import quantile
 
 __all__ = [
+    "COORDINATES",
     "DARK_PART",
     "ENOUGH",
     "FEWEST_DARK",
@@ -13,6 +14,7 @@ __all__ = [
     "Features",
     "Widening",
     "dark_plane",
+    "nearness",
     "polynomials",
     "precise_aperture",
 ]
@@ -28,6 +30,8 @@ _LOST = 0.01
 #: Branch: the background is first sought in this part of the pixels, in so many at least for a
 #: slope.
 DARK_PART, FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
+#: Prior: error of the target's place by the file's coordinates, px: twice that of eleven real ones.
+COORDINATES = 1.0
 #: Tolerance: cadences whose arrays a processor's cache holds.
 _BLOCK = 128
 
@@ -177,3 +181,8 @@ def precise_aperture(light, variance, position):
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: fewest + np.argmin(scatter[fewest:]) + 1]] = True
     return mask
+
+
+def nearness(dx, dy):
+    """Return a relative probability of distances (px) from the place by the file's coordinates."""
+    return (1 + (dx**2 + dy**2) / COORDINATES**2) ** -2.0

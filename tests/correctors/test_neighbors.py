@@ -129,16 +129,17 @@ def test_a_neighbor_that_is_brighter(magnitudes, distance):
     assert found.full < 0.03 * raw.full
 
 
-@pytest.mark.parametrize("distance", [2.3, 3.0])
-def test_the_target_is_the_star_at_the_coordinates(distance):
+@pytest.mark.parametrize("aperture", [None, "pipeline"])
+@pytest.mark.parametrize(("magnitudes", "distance"), [(-0.5, 2.0), (-1.5, 3.0)])
+def test_the_target_is_the_star_at_the_coordinates(magnitudes, distance, aperture):
     """Its neighbor is in the file's aperture, and if it is near there is no dip between."""
-    neighbors = ((-1.5, distance, 0.0),)
+    neighbors = ((magnitudes, distance, 0.0),)
     variability = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.3}
     regime = SkyRegime("bright", magnitude=14.5, neighbors=neighbors, **variability)
     sky = make_sky(regime, 38, n_cadences=300)
     light = np.nanmedian(sky.star_light + sky.neighbor_light, axis=0)
     sky = replace(sky, aperture=light > 0.01 * light.max())
-    corrector = corrected(sky)
+    corrector = corrected(sky, aperture)
     assert corrector.result.crowding == pytest.approx(true_share(sky, corrector), abs=0.005)
     found, raw = (score(lc, sky) for lc in (corrector.corrected_lc, corrector.original_lc))
     assert found.amplitude == pytest.approx(1, abs=0.003)  # 0.0014
