@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._pixels import without_background
+from scope_models.correctors._pixels import scatter, without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
-from scope_models.pixelmodel._scene import farthest_from_prior
-from scope_models.pixelmodel._smoothing import CLIP
 from scope_models.pixelmodel._start import KnownNeighbors, NoLightError, centroids
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
@@ -152,12 +150,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         return None
     shape, track, others = found
     others, stars = others.sum(axis=0), shape.neighbors
-    inside = (pixels.aperture & pixels.own)[box]
-    part = others[use][:, inside].sum() / flux[use][:, inside].sum()
-    away = np.median(track.stacked[use, 1:3], axis=0) - peak
-    moved = (np.hypot(*(stars[:, 1:] + away).T) < np.hypot(*away)).any()
-    # pixels from which the light rises to the target's peak are mostly its own
-    if not (given or ((moved or 0 <= part <= 0.5) and farthest_from_prior(shape) < CLIP)):
+    inside = pixels.aperture[box]
+    # the noise of light that is taken off is not larger than that of the sum
+    rougher = scatter(total - others[:, inside].sum(axis=1)) > np.sqrt(2) * scatter(total)
+    own = use[:, None, None] & inside & pixels.own[box]
+    if not given and (
+        rougher or not _is_credible(found, peak, others[own].sum() / flux[own].sum())
+    ):
         return None
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))
@@ -169,6 +168,18 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     units = ("electron / s", "pix", "pix")
     table = QTable([stars[:, 0], *places.T], names=("flux", "x", "y"), units=units)
     return NeighborLight(table, light, positions)
+
+
+def _is_credible(found, peak, part):
+    """Return whether others have no more than half of the light, or the target is not at the peak.
+
+    Pixels from which the light rises to its peak, of which others have this part, are mostly the
+    target's.
+    """
+    shape, track, _ = found
+    away = np.median(track.stacked[:, 1:3], axis=0) - peak
+    nearer = np.hypot(*(shape.neighbors[:, 1:] + away).T) < np.hypot(*away)
+    return bool(nearer.any() or 0 <= part <= 0.5)
 
 
 def _holds_constant_light(light, pos_corr):

@@ -109,9 +109,8 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     for step in range(_SHAPE_STEPS):
         gain = _GAINS[min(step, len(_GAINS) - 1)]
         shape, part, stuck = _step(shape, part, (steady, noise, priors[sub], schedule), gain)
-        if step >= len(_GAINS):  # neighbors may vary
-            change = _varying(shape, part, flux[sub], noise, priors[sub], schedule, ...)[1]
-            steady = flux[sub] - changed_light(shape, part, change - np.median(change, axis=0))
+        change = _varying(shape, part, flux[sub], noise, priors[sub], schedule, ...)[1]
+        steady = flux[sub] - changed_light(shape, part, change - np.median(change, axis=0))
         floor = measure_floor(shape, part, steady, variance[sub])
         schedule = max(_FLOORS[min(step + 1, len(_FLOORS) - 1)], floor / 5)
         if step >= 1:

@@ -15,7 +15,6 @@ __all__ = [
     "Track",
     "between",
     "changed_light",
-    "farthest_from_prior",
     "improve_shape",
     "measure_floor",
     "misfit",
@@ -361,12 +360,6 @@ def _shape_prior(shape, gain):
 def _around(neighbors):
     """Return the prior's standard deviations of fluxes and places."""
     return np.stack([_FLUX * neighbors[:, 0], *np.full((2, len(neighbors)), _PLACE)], axis=1)
-
-
-def farthest_from_prior(shape):
-    """Return how many standard deviations of its prior a neighbor is away from it, at most."""
-    first = shape.first_neighbors
-    return np.max(np.abs(shape.neighbors - first) / _around(first))
 
 
 def _sums_over_pixels(grid):
