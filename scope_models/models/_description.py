@@ -115,8 +115,10 @@ def unpacked(value):
     """Return the array of a text and the quantity of a unit; other values are unchanged."""
     if not isinstance(value, dict):
         return value
-    if "unit" in value:
+    if value.keys() == {"value", "unit"}:
         return value["value"] * u.Unit(value["unit"])
+    if value.keys() != {"array", "shape"}:
+        raise ValueError(f"a table must have `value` and `unit`, got {', '.join(value)}")
     shape = tuple(map(int, value["shape"]))
     size = 8 * math.prod(shape)
     if not 0 <= size <= _LARGEST_ARRAY:

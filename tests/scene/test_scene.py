@@ -378,6 +378,10 @@ def test_preset_in_toml(tmp_path):
         ('preset = "k2"\n[psf]\nmodel = "astropy.nothing.X"', "'astropy.nothing.X' is not the"),
         ("shape = " + "[" * 5000, "detector.toml: .*recursion"),
         ('preset = "k2"\n[psf]\nmodel = "BivariateGaussianPSF"\nsigma = 1', "sigma"),
+        (
+            'preset = "k2"\n[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = { value = 0.5 }',
+            "a table must have `value` and `unit`, got value",
+        ),
     ],
 )
 def test_wrong_detector_files(text, message, tmp_path):
