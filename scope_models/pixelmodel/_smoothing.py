@@ -52,8 +52,11 @@ class Smoother:
         smooth, part = best
         if 1.4826 * quantile(np.abs(values - smooth)[use]) > CLIP * typical:
             return own
-        noise = (1.4826 * least) ** 2 * part
-        mean, signal = smooth[use].mean(), max(smooth[use].var() - noise[use].mean(), 0.0)
+        unit = (1.4826 * least) ** 2
+        noise = unit * part
+        # where all cadences around are outliers there is no course
+        left = np.minimum(noise, unit)[use].mean()
+        mean, signal = smooth[use].mean(), max(smooth[use].var() - left, 0.0)
         return mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
 
     def without_dips(self, values, start, width):

@@ -198,6 +198,15 @@ def test_smoothing_leaves_little_of_noise():
     assert np.median(left) < 1e-9
 
 
+def test_cadences_without_weight_do_not_end_a_course():
+    """Between them the course is unknown, but not elsewhere."""
+    course, error = 30 * np.sin(8 * TIME), np.ones(len(TIME))
+    error[200:240] = 1e4
+    values = course + error * np.random.default_rng(5).normal(size=len(TIME))
+    found = Smoother(TIME, np.ones(len(TIME), dtype=bool))(values, error)
+    assert np.std((found - course)[error == 1]) < 2
+
+
 def test_rolling_bands_are_background():
     """Waves along the rows in a third of the cadences, ten times as strong as pixels' noise."""
     x, y, measured = motion()
