@@ -146,18 +146,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
             return None
         message = "the target and the given `neighbors` do not describe the pixels"
         raise ValueError(message) from None
-    if found is None:
+    inside = pixels.aperture[box]
+    if found is None or not (
+        given or _is_credible(found, peak, flux, use, inside, inside & pixels.own[box])
+    ):
         return None
     shape, track, others = found
     others, stars = others.sum(axis=0), shape.neighbors
-    inside = pixels.aperture[box]
-    # the noise of light that is taken off is not larger than that of the sum
-    rougher = scatter(total - others[:, inside].sum(axis=1)) > np.sqrt(2) * scatter(total)
-    own = use[:, None, None] & inside & pixels.own[box]
-    if not given and (
-        rougher or not _is_credible(found, peak, others[own].sum() / flux[own].sum())
-    ):
-        return None
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))
     part[:, *box] = others
@@ -170,16 +165,20 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     return NeighborLight(table, light, positions)
 
 
-def _is_credible(found, peak, part):
-    """Return whether others have no more than half of the light, or the target is not at the peak.
+def _is_credible(found, peak, flux, use, inside, own):
+    """Return whether the light of found neighbors may be taken off.
 
-    Pixels from which the light rises to its peak, of which others have this part, are mostly the
-    target's.
+    Its noise in the aperture is not larger than that of all light there, and others have no more
+    than half of the pixels from which the light rises to the target's peak, if that is its own.
     """
-    shape, track, _ = found
+    shape, track, others = found
+    others, flux = others.sum(axis=0)[use], flux[use]
+    whole, left = (values[:, inside].sum(axis=1) for values in (flux, flux - others))
+    if scatter(left) > np.sqrt(2) * scatter(whole):
+        return False
     away = np.median(track.stacked[:, 1:3], axis=0) - peak
     nearer = np.hypot(*(shape.neighbors[:, 1:] + away).T) < np.hypot(*away)
-    return bool(nearer.any() or 0 <= part <= 0.5)
+    return bool(nearer.any() or 0 <= others[:, own].sum() <= flux[:, own].sum() / 2)
 
 
 def _holds_constant_light(light, pos_corr):

@@ -1,5 +1,6 @@
 """The door in: the one way from a target pixel file, in memory or on disk, to arrays."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Integral
@@ -11,7 +12,7 @@ from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS
+from astropy.wcs import WCS, FITSFixedWarning
 
 from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
@@ -465,7 +466,9 @@ def target_place(series):
     """Return the target's column and row in the stamp by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     try:
-        return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FITSFixedWarning)  # of a WCS that is of no use
+            return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
     except (TypeError, ValueError):  # they, or the WCS, are missing or no numbers
         return None
 

@@ -348,18 +348,13 @@ def _shape_prior(shape, gain):
     first, m, centers = shape.prior_mean, shape.first_neighbors, shape.grid.centers
     half = shape.grid.values(centers / _BROAD)
     prf = (_PRF * np.abs(half @ first @ half.T) + _PRF_LEAST * first.max()).ravel()
-    around = _around(m)
+    around = np.stack([_FLUX * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
     along = (1 - _ROUGH) * np.exp(-0.5 * ((centers[:, None] - centers) / _SMOOTH) ** 2)
     along = np.linalg.inv(along + _ROUGH * np.eye(len(centers)))
     others = np.append(np.full(shape.gains.size, gain), around)
     away = [shape.coefficients - first, shape.gains - 1, shape.neighbors - m]
     precision = block_diag(np.kron(along, along) / np.outer(prf, prf), np.diag(others**-2.0))
     return np.concatenate([part.ravel() for part in away]), precision
-
-
-def _around(neighbors):
-    """Return the prior's standard deviations of fluxes and places."""
-    return np.stack([_FLUX * neighbors[:, 0], *np.full((2, len(neighbors)), _PLACE)], axis=1)
 
 
 def _sums_over_pixels(grid):

@@ -146,13 +146,17 @@ def test_the_target_is_the_star_at_the_coordinates(magnitudes, distance, apertur
     assert found.full < 0.2 * raw.full
 
 
-@pytest.mark.parametrize("ra", [None, "unknown", 200.0])
-def test_coordinates_that_are_no_place_in_the_pixels(ra):
+@pytest.mark.parametrize(
+    ("hdu", "key", "value"),
+    [(0, "RA_OBJ", None), (0, "RA_OBJ", "unknown"), (0, "RA_OBJ", 200.0), (1, "1CRPX5", "x"),
+     (1, "1CDLT5", 0.0)],
+)  # fmt: skip
+def test_coordinates_that_are_no_place_in_the_pixels(hdu, key, value):
     """The target is the brightest star."""
     sky = make_sky(SkyRegime("two", neighbors=((1.0, 3.0, 0.0),)), 35, n_cadences=250)
     tpf = sky.to_tpf()
     given = PLDCorrector(tpf).aperture_mask
-    tpf.hdu[0].header["RA_OBJ"] = ra
+    tpf.hdu[hdu].header[key] = value
     np.testing.assert_array_equal(PLDCorrector(tpf).aperture_mask, given)
 
 
