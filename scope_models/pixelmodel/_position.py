@@ -101,12 +101,11 @@ class Widening:
         self._beside = np.array([[[places.get(tuple(p), -1) for p in m] for m in k] for k in moved])
 
     def __call__(self, images, center):
-        """Return the mean change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
-        few = slice(None, None, max(len(images) // ENOUGH, 1))
-        change = np.zeros(images.shape[1])
-        for light, wider in self._wider(images[few], center[few]):
-            change += (wider - light * (self.aperture @ wider)).sum(axis=1)
-        return change / len(images[few])
+        """Return the change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
+        parts = self._wider(images, center)
+        return np.concatenate(
+            [(wider - light * (self.aperture @ wider)).T for light, wider in parts]
+        )
 
     def lost(self, images, center):
         """Return what flows out of the stamp, ``(n,)``."""

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scope_models.pixelmodel._position import ENOUGH
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
@@ -278,10 +279,8 @@ def _images(stamp, states, shape, functions, slow=None):
         squared = without_sum(few, changes["squared"])
         whole += w * by_width + w**2 * squared
         slopes.append(by_width + 2 * w * squared)
-    else:  # a PSF that widens about the star's center
-        far = stamp.grid - stamp.center - states.position[:, None]
-        by_width = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
-        slopes.append(by_width - image * (by_width @ inside)[:, None])
+    else:
+        slopes.append(stamp.widening(image, stamp.center + states.position))
     if slow is not None:
         whole += without_sum(slow / total, changes["slow"])
     return _Images(image, whole, slopes, constant)
@@ -294,7 +293,8 @@ def _with_unit(stamp, states, shape, images, coarse):
     that of the widening. Returned are states, shape and images.
     """
     use, outside, changes = stamp.use, ~stamp.aperture, dict(shape.changes)
-    wider = stamp.widening(images.still[use], stamp.center + states.position[use])
+    few = np.flatnonzero(use)[:: max(use.sum() // ENOUGH, 1)]
+    wider = stamp.widening(images.still[few], stamp.center + states.position[few]).mean(axis=0)
     fitted = images.slopes[2][use].mean(axis=0)
     signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
     size = np.sqrt(signal[0] / signal[1])

@@ -101,6 +101,19 @@ def test_light_that_the_focus_moves_over_the_border_is_put_back():
     assert abs(slope(found.light)) < 0.1 * abs(slope(flux[:, aperture].sum(axis=1)))
 
 
+@pytest.mark.parametrize("star", [1e4, 1e5])
+def test_width_of_a_star_at_rest(star):
+    """No motion shows how its image changes with position."""
+    x, y = np.random.default_rng(4).normal([[4.1], [3.9]], 1e-4, (2, len(TIME)))
+    measured = np.random.default_rng(5).normal(0, 3e-3, (len(TIME), 2))
+    width = SIGMA * (1 + 0.003 * np.sin(2 * np.pi * TIME / 4))
+    flux, error = observed(star * image(x, y, width))
+    aperture = np.hypot(*(GRID - 4).T) < 1.2  # light leaves it as the image widens
+    focus = fit_star(TIME, flux, error, measured, GRID, aperture).focus
+    np.testing.assert_allclose(np.polyfit(width / SIGMA - 1, focus, 1)[0], 1, atol=0.15)
+    assert np.corrcoef(focus, width)[0, 1] > 0.99
+
+
 def test_fractions_do_not_follow_a_transit():
     x, y, measured = motion()
     dip = np.where(TIME % 2 < 0.2, 0.99, 1.0)
