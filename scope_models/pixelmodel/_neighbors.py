@@ -84,7 +84,8 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, others, only
     (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
     refit = _first_models(pixels[1], x[use], y[use], theirs, follow=not measured.any())
     shape, track = refit(pixels[0])
-    shape, track = find_neighbors(shape, track, *pixels, known, refit, others if only else None)
+    places = others if only else np.ones_like(others)
+    shape, track = find_neighbors(shape, track, *pixels, known, refit, places)
     if not len(shape.neighbors):
         return None
     other = None if place is None else _another_target(shape, track, place)

@@ -327,7 +327,7 @@ def _stacked(values, variance, track):
     return mean, np.where(few, np.inf, error), place
 
 
-def find_neighbors(shape, track, flux, variance, known, refit, places=None):
+def find_neighbors(shape, track, flux, variance, known, refit, places):
     """Return the shape with stars beside the target.
 
     Parameters
@@ -341,8 +341,8 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
         looks like a star's.
     refit : callable
         Takes pixels without the neighbors' light, and returns a new first model of the target.
-    places : ndarray of bool, optional
-        Pixels in which neighbors may be, ``(ny, nx)``; by default anywhere.
+    places : ndarray of bool
+        Pixels in which neighbors may be, ``(ny, nx)``.
     """
     if known is not None:
         found = np.column_stack([np.zeros(len(known.places)), known.offsets(track)])
@@ -357,7 +357,7 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
         trial = _settled(shape, track, flux, variance, tried, refit)
         if trial is None or not separate(trial[2], _LEAST * np.median(trial[1].flux)).all():
             break
-        if places is not None and not _in_places(places, trial[1], *trial[2][:, 1:].T).all():
+        if not _in_places(places, trial[1], *trial[2][:, 1:].T).all():
             break
         shape, track, found = trial
     return replace(shape, neighbors=found, first_neighbors=found), track
@@ -415,8 +415,7 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     good &= (rest > _LEAST * typical * shape.coefficients.max()) & (np.hypot(du, dv) > NEAREST)
     for _, dx, dy in found:
         good &= np.hypot(du - dx, dv - dy) > NEAREST
-    if places is not None:
-        good &= _in_places(places, track, du, dv)
+    good &= _in_places(places, track, du, dv)
     if not good.any():
         return None
     j, i = np.unravel_index(np.argmax(np.where(good, rest, -np.inf)), rest.shape)
