@@ -215,32 +215,21 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
         electrons += detector.cadence_read_noise * streams["read"].standard_normal(electrons.shape)
     if "quantization" in streams:
         _noise.add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
-    counts = electrons * (1.0 / detector.gain)
-    counts += detector.fixed_offset
-    np.rint(counts, out=counts)
-    np.clip(counts, 0, _LARGEST_COUNT, out=counts)
-    cubes["raw_cnts"][...] = counts
+    counts = np.rint(electrons * (1.0 / detector.gain) + detector.fixed_offset)
+    cubes["raw_cnts"][...] = np.clip(counts, 0, _LARGEST_COUNT)
     for effect, drawn in reversed(prepared.effects):
         effect.calibrate(drawn, prepared.conditions, part, electrons)
     per_second = 1.0 / detector.exposure_time
-    electrons -= subtracted
-    electrons *= per_second
-    cubes["flux"][...] = electrons
-    terms, error = prepared.scene.noise, np.zeros(added.shape)  # of the variance, electrons
-    if "background" in terms:
-        error += added
-    if "read" in terms:
-        error += detector.cadence_read_noise**2
-    if "quantization" in terms:
-        error += detector.n_reads * detector.gain**2 / 12.0
-    if "photon" in terms:
-        error = np.add(expected, error, out=expected)
-    np.sqrt(error, out=error)
-    error *= per_second
-    np.maximum(error, _ROUNDING, out=error)
-    rounding = np.abs(cubes["flux"], out=cubes["flux_err"])
-    rounding *= _ROUNDING
-    np.maximum(error.astype(np.float32), rounding, out=rounding)
+    cubes["flux"][...] = (electrons - subtracted) * per_second
+    variances = {
+        "background": added,
+        "read": detector.cadence_read_noise**2,
+        "quantization": detector.n_reads * detector.gain**2 / 12.0,
+        "photon": expected,
+    }
+    variance = sum(value for term, value in variances.items() if term in prepared.scene.noise)
+    error = np.maximum(np.sqrt(variance) * per_second, _ROUNDING).astype(np.float32)
+    cubes["flux_err"][...] = np.maximum(error, _ROUNDING * np.abs(cubes["flux"]))
 
 
 def _flag(prepared, cubes):
