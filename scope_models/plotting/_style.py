@@ -21,14 +21,12 @@ STYLE = "scope_models.plotting.scope_models"
 # Far apart in lightness too, so that figures can be read in black and white.
 DARK, LIGHT, GRAY = "#08306b", "#f08a24", "0.65"
 FLUX = "Flux (e$^-$ s$^{-1}$)"
-
-
-_TIME_LABEL = """time_label : str, optional
-    Label of the times."""
-_MASK = """aperture : array_like of bool, optional
-    Mask ``(ny, nx)`` whose outline is drawn."""
-_TITLE = """title : str, optional
-    Title of the Axes."""
+_SHARED_DOCS = {
+    "time_label": "time_label : str, optional\n    Label of the times.",
+    "mask": """aperture : array_like of bool, optional
+    Mask ``(ny, nx)`` whose outline is drawn.""",
+    "title": "title : str, optional\n    Title of the Axes.",
+}
 
 
 def styled(function=None, /, **units):
@@ -40,7 +38,7 @@ def styled(function=None, /, **units):
         return partial(styled, **units)
     signature = inspect.signature(function)
 
-    @documented(time_label=_TIME_LABEL, mask=_MASK, title=_TITLE)
+    @documented(**_SHARED_DOCS)
     @wraps(function)
     def draw(*args, **kwargs):
         given = signature.bind(*args, **kwargs)

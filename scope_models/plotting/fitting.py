@@ -70,12 +70,11 @@ def plot_fit(
     ['data', 'model', 'positions', 'residual']
     """
     last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
-    below = [name for name, part in (("chi2", chi2), last) if part is not None]
-    above = [*_TITLES, *(["psf"] if psf is not None else [])]
+    given = [name for name, part in (("chi2", chi2), last) if part is not None]
+    above, below = [*_TITLES, *(["psf"] if psf is not None else [])], ["positions", *given]
+    below += below[-1:] * (len(above) - len(below))
     figure = plt.figure(figsize=(3.7 * len(above), 6.4), layout="constrained")
-    beneath = ["positions", *below]
-    beneath += beneath[-1:] * (len(above) - len(beneath))
-    axes = figure.subplot_mosaic([above, beneath])
+    axes = figure.subplot_mosaic([above, below])
     _draw_images(axes, data, model, residual)
     if psf is not None:
         _draw_psf(axes["psf"], psf, psf_extent, psf_width)
@@ -149,8 +148,8 @@ def _draw_positions(ax, x, y, pos_corr):
     ax.plot(path[:, 0], x - np.median(x), "k.", ms=2, label="column")
     ax.plot(path[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
     ax.locator_params(nbins=5)
-    ax.set(title="Positions, less their medians")
-    ax.set(xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)")
+    title = "Positions, less their medians"
+    ax.set(title=title, xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)")
     ax.legend(fontsize="small", markerscale=4, loc="upper left")
 
 
