@@ -400,10 +400,8 @@ def flux_fraction(target, aperture, total=None):
     """
     target = _images(target, "target")
     aperture = checked_mask("aperture", aperture, target.shape[1:])
-    if total is None:
-        total = target.sum(axis=(1, 2)).mean()
-    else:
-        total = plain_array(total, _RATE, "total").mean()
+    light = target.sum(axis=(1, 2)) if total is None else plain_array(total, _RATE, "total")
+    total = light.mean()
     if not total > 0:
         raise ValueError(f"`total` flux of the target must be positive, got {total}")
     return float(target[:, aperture].sum(axis=1).mean() / total)

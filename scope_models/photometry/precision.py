@@ -157,7 +157,6 @@ def _lightkurve_cdpp(time, flux, width, filter_window):
 def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_gap=5):
     """Savitzky-Golay trend through the points that are not outliers from it."""
     kept = np.flatnonzero(np.abs(flux - np.median(flux)) <= sigma * np.std(flux))
-    trend = np.full_like(flux, np.median(flux))
     for _ in range(iterations):
         t, f = time[kept], flux[kept]
         steps = np.diff(t)
@@ -169,10 +168,8 @@ def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_g
             else:
                 smooth[part] = savgol_filter(f[part], filter_window, _FILTER_ORDER)
         near = np.abs(f - smooth) < sigma * np.std(f - smooth) + 1e-14
-        line = interp1d(t[near], smooth[near], fill_value="extrapolate", assume_sorted=True)
-        trend = line(time)
-        kept = kept[near]
-    return trend
+        kept, smooth = kept[near], smooth[near]
+    return interp1d(time[kept], smooth, fill_value="extrapolate", assume_sorted=True)(time)
 
 
 def _everest_cdpp(_time, flux, width, filter_window):
