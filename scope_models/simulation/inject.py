@@ -185,10 +185,8 @@ def _multiplied(star, relative, tpf, series, electrons):
 def _scene_of(star, series, tpf=None):
     """Return the scene of a star, on the cadences of the series."""
     if isinstance(star, Star):
-        if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
-            places = np.zeros((2, len(series)))
-        else:
-            places = series.pos_corr.T
+        known = series.pos_corr is not None and np.isfinite(series.pos_corr).any()
+        places = series.pos_corr.T if known else np.zeros((2, len(series)))
         motion = Motion.from_arrays(series.time, *places, time_format=series.time_format)
         scene = _on_stamp(Scene(star, Detector.from_tpf(series), motion, seed=0))
     elif star is None:
