@@ -172,8 +172,8 @@ def gather(prepared, cadences, sums=None, aperture=None):
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
-    shape = n, *scene.detector.shape
-    electrons, weights = None, interpixel if aperture is None else interpixel * aperture
+    electrons = np.zeros((n, *scene.detector.shape))
+    weights = interpixel if aperture is None else interpixel * aperture
     for number, (light,) in enumerate(shown(prepared.lights)):
         images, window = light.images(cadences), light.window
         if sums is not None:
@@ -185,10 +185,6 @@ def gather(prepared, cadences, sums=None, aperture=None):
             images[0] += whole[number, *window]
             images.sum(axis=0, out=whole[number, *window])
             images[0] = first
-        if electrons is None and images.shape == shape:
-            electrons = images
-            continue
-        electrons = np.zeros(shape) if electrons is None else electrons
         electrons[:, *window] += images
     electrons *= interpixel * scene.detector.exposure_time
     response = _response(prepared, cadences)
