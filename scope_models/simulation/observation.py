@@ -39,7 +39,7 @@ class Observation(Value):
         Flux after subtraction of the background, e-/s.
     flux_err : ndarray of shape (n_cadences, ny, nx)
         True standard deviation of ``flux`` by the noise terms that are switched on, e-/s; at least
-        that of rounding to single precision.
+        that of rounding to single precision, so that it is positive even without noise.
     flux_bkg : ndarray of shape (n_cadences, ny, nx)
         Background that was subtracted, e-/s. It is the true level.
     raw_cnts : ndarray of int, shape (n_cadences, ny, nx)

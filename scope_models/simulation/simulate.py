@@ -79,9 +79,6 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     cadences follow, and wherever the expected electrons of a pixel are the same: a transit
     changes only the pixels of its star.
 
-    Fluxes are stored in single precision: their errors are at least those of the rounding, so
-    that they are positive even without noise.
-
     Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
     ends of the bleeding column, as in real files. The errors of the flux are those of the light
     that a pixel holds, as in real files, too.
