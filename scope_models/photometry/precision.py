@@ -40,9 +40,8 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
         standard deviation divided by :math:`\sqrt{n}`.
 
     White noise of 100 ppm per long cadence has a 6.5-hour CDPP of nominally
-    :math:`100 / \sqrt{13} = 27.7` ppm; the first convention gives 23.1 (the
-    filter removes some), the second 25.7 (the standard deviation of 13
-    points is biased, and some is removed too).
+    :math:`100 / \sqrt{13} = 27.7` ppm; the first convention gives 23.1 (the filter removes some),
+    the second 25.7 (the standard deviation of 13 points is biased, and some is removed too).
 
     Parameters
     ----------
