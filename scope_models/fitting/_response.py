@@ -266,8 +266,7 @@ class _Shares:
             for step in (self.update, self.improve, self.put_on_path, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
-            if report is not None:
-                report(cost)
+            report(cost)
             small = max(_SAME * cost, _SMALL * np.sqrt(self.weight.size))
             if number > 3 and abs(before - cost) < small:
                 return True, number
@@ -303,7 +302,7 @@ def _choose(shares, report):
     return best, steps, max(int(left), _TRIAL_STEPS)
 
 
-def fit_response(problem, solution, fits, report=None):
+def fit_response(problem, solution, fits, report):
     """Return a `TPFFit` per file with responses of pixels, from the fit of few cadences."""
     few, state = solution.problem, solution.state
     if (n := len(problem.flux)) < _FEWEST:

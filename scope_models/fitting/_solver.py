@@ -149,7 +149,7 @@ def _step(problem, state, equations, only, damping):
     return trial, gain - np.einsum("nk,nkl,nl->", own, equations.cadence, own)
 
 
-def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, report=None):
+def solve(problem, state, max_steps, report, *, n_steps=0, only=None, loosely=False):
     """Minimize the cost from a state.
 
     With ``only``, the other shared parameters and the interpixel map wait; ``loosely``: the result
@@ -181,8 +181,7 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
         damping *= max(0.1, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
         damping, growth = max(damping, _LEAST_DAMPING), 2.0
         state, equations, n_steps = trial, expanded, n_steps + 1
-        if report is not None:
-            report(equations.cost)
+        report(equations.cost)
         before, near = near, converged()
         if before:  # one more step, beyond the tolerance
             break

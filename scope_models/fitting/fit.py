@@ -138,9 +138,8 @@ def fit_tpf(
     light, from medians, is above 1.5 squared errors, all errors are scaled up by the root of the
     larger one, the attribute ``error_scale``, so that priors keep their weight and the errors of
     the parameters grow. With ``FitOptions(loss="soft_l1")`` the errors of the fit itself follow all
-    pixels alike, and only the errors of the result follow ``error_scale``.
-    Chi-squared is always that of the given errors. The coefficients of a sensitivity then
-    describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
+    pixels alike, and only the errors of the result follow ``error_scale``. Chi-squared is always
+    that of the given errors. The coefficients of a sensitivity then describe errors of the PSF.
 
     With ``response="pixels"``, b is 1, and a polynomial for each pixel follows what PSF, focus and
     pixels do; its degree and its priors follow from the data. Every tenth cadence is held out:
@@ -204,7 +203,9 @@ def fit_tpf(
 def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     """Return the kind of response, the solutions of all models of few cadences, and the best."""
     left = any_psf and any_response and sensitivity is None and problem.options.focus is None
-    seen = _is_seen(problem)
+    # Whether the flux where the fit starts is above what the noise of a place makes.
+    flux = problem.fluxes(_start.starting_state(problem))
+    seen = np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
         candidates = _candidates(problem, sensitivity, simple, any_psf, any_response)
@@ -223,12 +224,6 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
     tried = _tried(rough, steps, few=True)
     return "pixels", tried, tried[0]
-
-
-def _is_seen(problem):
-    """Whether the star's flux where the fit starts is above what the noise of a place makes."""
-    flux = problem.fluxes(_start.starting_state(problem))
-    return np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
 
 
 def _with(problem, prf=None, **options):
