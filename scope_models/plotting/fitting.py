@@ -80,9 +80,8 @@ def plot_fit(
         _draw_psf(axes["psf"], psf, psf_extent, psf_width)
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
-        shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
-        label_pixels(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
-        _write_numbers(_colorbar(shown, axes["chi2"], "Per degree of freedom"))
+        title = f"Chi-squared, median {np.nanmedian(chi2):.3g}"
+        _write_numbers(_show(axes["chi2"], chi2, title, "Per degree of freedom", norm=LogNorm()))
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     elif flux is not None:
@@ -94,17 +93,14 @@ def _draw_images(axes, data, model, residual):
     """Draw data and model on one scale, and the residual on its own."""
     top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
-    for name, image in (("data", data), ("model", model)):
-        shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=light)
-        label_pixels(axes[name], _TITLES[name])
-    bar = _colorbar(shown, axes["model"], FLUX)
+    _show(axes["data"], data, _TITLES["data"], norm=light)
+    bar = _show(axes["model"], model, _TITLES["model"], FLUX, norm=light)
     ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
     bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
     bar.minorticks_off()
+    title = f"{_TITLES['residual']}, to {100 * largest / top:.2g} %"
     scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
-    shown = axes["residual"].imshow(residual, origin="lower", **scale)
-    label_pixels(axes["residual"], f"{_TITLES['residual']}, to {100 * largest / top:.2g} %")
-    _colorbar(shown, axes["residual"], FLUX)
+    _show(axes["residual"], residual, title, FLUX, **scale)
 
 
 def _write_numbers(bar):
@@ -113,22 +109,22 @@ def _write_numbers(bar):
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _colorbar(shown, ax, label):
-    return ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
+def _show(ax, image, title, label=None, *, cmap="viridis", **options):
+    """Draw an image of pixels and, if it has a label, its color bar, which is returned."""
+    shown = ax.imshow(image, origin="lower", cmap=cmap, **options)
+    label_pixels(ax, title)
+    return ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85) if label else None
 
 
 def _draw_psf(ax, psf, extent, width):
-    options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
-    shown = ax.imshow(psf, origin="lower", **options)
-    title = "PSF" if width is None else f"PSF, {width}"
-    ax.set(title=title, xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
-    bar = _colorbar(shown, ax, "Relative density")
+    title, norm = "PSF" if width is None else f"PSF, {width}", AsinhNorm(_LINEAR, 0, 1)
+    bar = _show(ax, psf, title, "Relative density", extent=extent, norm=norm)
+    ax.set(xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
     bar.set_ticks([0, _LINEAR, 0.1, 1], labels=["0", f"{_LINEAR}", "0.1", "1"])
     bar.minorticks_off()
 
 
 def _draw_flux(ax, time, flux, label):
-    """Draw the light curve, with arrows for values beyond its scale."""
     time, label = (np.arange(flux.size), "Cadence") if time is None else (time, label)
     ax.plot(time, flux, "k.", ms=2)
     ax.set(title="Light curve", xlabel=label, ylabel=FLUX)
@@ -139,7 +135,6 @@ def _draw_flux(ax, time, flux, label):
 
 
 def _draw_positions(ax, x, y, pos_corr):
-    """Draw positions against POS_CORR, or as a track."""
     if pos_corr is None:
         ax.plot(x, y, "k.", ms=2)
         label_pixels(ax, "Positions")
@@ -215,7 +210,6 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
         ax.legend(fontsize="small", markerscale=4)
     norm = LogNorm(*(f([f(image[image > 0]) for image in residuals]) for f in (np.min, np.max)))
     for name, image in zip(("real", "twin"), residuals, strict=True):
-        shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=norm)
-        label_pixels(axes[name], name.replace("real", "star").capitalize())
-        _write_numbers(_colorbar(shown, axes[name], "Scatter of residuals (errors)"))
+        title, label = name.replace("real", "star").capitalize(), "Scatter of residuals (errors)"
+        _write_numbers(_show(axes[name], image, title, label, norm=norm))
     return axes

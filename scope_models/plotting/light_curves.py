@@ -44,13 +44,12 @@ def plot_light_curve(
     ['raw, CDPP 23.1 ppm (lightkurve)', 'corrected']
     """
     ax = _style.given_or_new(ax, 8, 3.2)
-    cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
-    relative = flux / np.nanmedian(flux)
-    ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp, convention))
+    before = _with_cdpp("raw", cdpp, "cdpp", convention)
+    after = _with_cdpp("corrected", corrected_cdpp, "corrected_cdpp", convention)
+    ax.plot(time, flux / np.nanmedian(flux), ".", ms=3.5, color=LIGHT, label=before)
     if corrected is not None:
         relative = corrected / np.nanmedian(corrected)
-        label = _with_cdpp("corrected", corrected_cdpp, convention)
-        ax.plot(time, relative, ".", ms=2.5, color=DARK, label=label)
+        ax.plot(time, relative, ".", ms=2.5, color=DARK, label=after)
     if model is not None:
         ax.plot(time, model, "-", lw=0.9, color="k", label="model")
     _label(ax, time_label, title)
@@ -189,9 +188,7 @@ def _label(ax, xlabel, title):
     _style.legend_above(ax, ncols=3, markerscale=2, fontsize="small", columnspacing=1.2)
 
 
-def _ppm(cdpp, name):
-    return None if cdpp is None else plain_number(cdpp, u.Unit(1e-6), name)
-
-
-def _with_cdpp(name, cdpp, convention):
-    return name if cdpp is None else f"{name}, CDPP {cdpp:.1f} ppm ({convention})"
+def _with_cdpp(name, cdpp, argument, convention):
+    if cdpp is None:
+        return name
+    return f"{name}, CDPP {plain_number(cdpp, u.Unit(1e-6), argument):.1f} ppm ({convention})"
