@@ -49,7 +49,6 @@ _EVERYWHERE = 0.003
 
 
 def write_fit(fit, path, *, overwrite):
-    """Write a fit; the file is there as a whole or not at all."""
     from astropy.io import fits
 
     primary = fits.PrimaryHDU()
@@ -268,11 +267,10 @@ def sensitivity_profiles(fit):
     for axis in "xy":
         powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
         value = sum(getattr(model, name).value * term for name, term in powers.items())
-        free = [name for name in fit.names if name in powers]
-        index = [fit.names.index(name) for name in free]
-        terms = np.array([powers[name] for name in free]).reshape(-1, len(offset))
-        variance = np.einsum("iu,ij,ju->u", terms, fit.covariance[np.ix_(index, index)], terms)
-        known = all(fit.errors[name] > 0 for name in free)
+        terms = [powers.get(name, np.zeros_like(offset)) for name in fit.names]
+        terms = np.reshape(terms, (-1, len(offset)))
+        variance = np.einsum("iu,ij,ju->u", terms, fit.covariance, terms)
+        known = all(fit.errors[name] > 0 for name in fit.names if name in powers)
         profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
     return profiles
 
@@ -298,7 +296,6 @@ def psf_image(fit, half=3.0, samples=121):
 
 
 def psf_shape(fit):
-    """Return the table that `TPFFit.psf_shape` describes."""
     if fit.response:
         moments, covariance = _moments_of_shares(fit)
     else:
