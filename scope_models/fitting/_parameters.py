@@ -133,7 +133,6 @@ def parameter_table(model, parameters, values, covariance, at_bounds, statistics
 
 
 def degrees_of_freedom(statistics):
-    """Pixel values less parameters."""
     return max(statistics["n_data"] - statistics["n_parameters"], 1)
 
 

@@ -141,10 +141,9 @@ def fit_tpf(
     pixels alike, and only the errors of the result follow ``error_scale``. Chi-squared is always
     that of the given errors. The coefficients of a sensitivity then describe errors of the PSF.
 
-    With ``response="pixels"``, b is 1, and a polynomial for each pixel follows what PSF, focus and
-    pixels do; its degree and its priors follow from the data. Every tenth cadence is held out:
-    ``chi2_held_out`` is its chi-squared per degree of freedom. Outliers are left out, and the
-    loss is that of least squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
+    With ``response="pixels"``, b is 1, and degree and priors of the polynomials follow from the
+    data. Every tenth cadence is held out, outliers are left out, and the loss is that of least
+    squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
 
     Examples
     --------
@@ -329,7 +328,6 @@ def _is_true(solution, *, strictly=False):
 
 
 def _ends(solution):
-    """Whether the solution is at a bound, or not converged."""
     return bool(solution.problem.at_bounds(solution.state).any()) or not solution.converged
 
 

@@ -90,7 +90,6 @@ def plot_fit(
 
 
 def _draw_images(axes, data, model, residual):
-    """Draw data and model on one scale, and the residual on its own."""
     top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
     _show(axes["data"], data, _TITLES["data"], norm=light)

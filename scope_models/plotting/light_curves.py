@@ -165,7 +165,6 @@ def plot_summary(
 
 
 def _plot_corrected(ax, time, corrected, model, noise, time_label):
-    """Draw the corrected light curve alone, on its own scale."""
     relative = corrected / np.nanmedian(corrected)
     ax.plot(time, relative, ".", ms=2.5, color=DARK, label="corrected")
     if noise is not None:
