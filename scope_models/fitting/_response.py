@@ -361,8 +361,8 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
     problem, used, held = shares.problem, shares.used, shares.held
     modeled = problem.flux - shares.residual()
-    fields = fitted_fields(problem, shares.state, errors, number, modeled, shares.weight)
-    squares, columns = fields.pop("squares"), fields.pop("cadences")
+    given = problem, shares.state, errors, number, modeled, shares.weight
+    fields, columns, squares = fitted_fields(*given)
     squares[~used] = np.nan
     n_data = np.isfinite(squares).sum(axis=(1, 2))
     part = n_data.sum() / max(np.count_nonzero(shares.weight[used]), 1)

@@ -462,16 +462,16 @@ def make_results(solution, errors, detectors, series):
     ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
     at_bounds = [parameter.name for parameter, end in ended if end]
     for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
-        fields = fitted_fields(problem, state, errors, number, fitted, problem.weight)
+        given = problem, state, errors, number, fitted, problem.weight
+        fields, columns, squares = fitted_fields(*given)
         interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
         if problem.n_pixels:
             interpixel[data.pixels] = 1 + state.interpixel[pixels]
             variance = np.diag(errors.shared)[s:][pixels]
             interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
-        columns, model = fields.pop("cadences"), fields["model"]
-        n_data = int(np.isfinite(fields["observed"]).sum())
+        model, n_data = fields["model"], int(np.isfinite(fields["observed"]).sum())
         statistics = {
-            "chi2": float(np.nansum(fields.pop("squares"))), "n_data": n_data,
+            "chi2": float(np.nansum(squares)), "n_data": n_data,
             "n_parameters": round(problem.n_free * n_data / problem.n_data),
             "error_scale": problem.misfit, "converged": solution.converged and not at_bounds,
             "n_steps": solution.n_steps, "chi2_held_out": np.nan,
@@ -493,7 +493,7 @@ def make_results(solution, errors, detectors, series):
 
 
 def fitted_fields(problem, state, errors, number, fitted, weight):
-    """Fields of the fit of a file, with its squares, from model and weights of all pixels."""
+    """Fields, columns and squares of the fit of a file, from model and weights of all pixels."""
     data, pixels = problem.stamps[number], problem.slices[number]
     observed, modeled = np.full((2, *data.flux.shape), np.nan)
     for cube, values in ((observed, problem.flux), (modeled, fitted)):
@@ -512,11 +512,9 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
         "background_err": _deviation(errors, background[number]) if background else 0 * data.time,
         "focus": 1 + problem.focus(state),
     }
-    return {
-        "model": model, "cadences": columns, "observed": observed, "fitted": modeled,
-        "neighbors": tuple(_parameters.FittedStar(**values) for values in others),
-        "observed_err": data.flux_err, "squares": ((observed - modeled) / data.flux_err) ** 2,
-    }  # fmt: skip
+    fields = {"observed": observed, "observed_err": data.flux_err, "fitted": modeled}
+    fields["neighbors"] = tuple(_parameters.FittedStar(**values) for values in others)
+    return fields | {"model": model}, columns, ((observed - modeled) / data.flux_err) ** 2
 
 
 def _of_star(problem, state, errors, star):
