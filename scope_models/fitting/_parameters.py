@@ -139,7 +139,5 @@ def degrees_of_freedom(statistics):
 def cadence_table(columns):
     """Values by cadence, those that are not None, with the units of `TPFFit.cadences`."""
     names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
-    table = Table({name: columns[name] for name in names})
-    for name in names:
-        table[name].unit = CADENCE_UNITS[name] or None
-    return table
+    units = {name: CADENCE_UNITS[name] or None for name in names}
+    return Table({name: columns[name] for name in names}, units=units)
