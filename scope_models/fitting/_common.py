@@ -28,10 +28,6 @@ _NO_MAP = 1e-6
 _MAP_ERROR = 0.3
 # Prior: what POS_CORR of real files deviates by, pixels, and relative.
 _POS_CORR_ERROR, _POS_CORR_SCALE = 0.003, 0.01
-# The model of the positions: fast, and of errors that the map takes.
-_MODEL = {
-    "psf": 1, "positions": "free", "response": "psf", "interpixel": 0.0, "neighbors": "find",
-}  # fmt: skip
 
 
 def common_motion(tpfs):
@@ -104,7 +100,9 @@ def _tracks(name, series, *, pixels):
     if pixels:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fit = fit_tpf(series, **_MODEL)
+            fit = fit_tpf(  # fast, and of errors that the map takes
+                series, psf=1, positions="free", response="psf", interpixel=0.0, neighbors="find"
+            )
         # errors of the noise alone: the scatter about the others gives the rest
         error = np.stack([fit.x_err, fit.y_err], 1) / fit.error_scale
         given = _place_of(series), fit.cadenceno, fit.time, np.stack([fit.x, fit.y], 1), error
