@@ -21,7 +21,6 @@ __all__ = [
 
 # Seconds after which a bar shows the progress.
 _PATIENCE = 5.0
-
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
 _PIECE = 1 << 16
 # A pixel with less than this part of a star's light is dark. Interpolation errs by less.
