@@ -19,15 +19,15 @@ from scope_models._version import __version__
 from scope_models.io._blocks import card_texts
 
 __all__ = [
-    "COLLECTED", "OPTIMAL", "WCS_NAMES", "PixelColumn", "calendar_dates", "checked_columns",
-    "make_headers", "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection",
+    "COLLECTED", "OPTIMAL", "PixelColumn", "calendar_dates", "checked_columns", "make_headers",
+    "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection", "wcs_keywords",
 ]  # fmt: skip
 
 #: Bits of the pixels that are collected, and of those in the optimal aperture.
 COLLECTED, OPTIMAL = 1, 2
 _LAYOUTS = Path(__file__).with_name("layouts")
-#: Names of cards on the coordinates of an image, and of those of a column without their numbers.
-WCS_NAMES = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
+# Names of cards on the coordinates of an image, and of those of a column without their numbers.
+_WCS = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _CARDS = {
@@ -48,7 +48,7 @@ class PixelColumn:
     name: str
     kind: str
     title: str
-    unit: str = ""
+    unit: str | None = None
     display: str = ""
     null: int | None = None
     is_pixels: bool = False
@@ -174,25 +174,31 @@ def pixel_column_cards(columns, metadata, shape):
     """Return keyword, value and comment of the cards of the columns of the pixel table."""
     cards, places = [], []
     for n, column in enumerate(columns, 1):
-        cards.append((f"TTYPE{n}", column.name, f"column title: {column.title}"))
         size = column.image_shape(shape)
-        form = f"{size[0] * size[1] if size else ''}{column.kind}"
-        cards.append((f"TFORM{n}", form, "column format"))
-        if column.unit:
-            cards.append((f"TUNIT{n}", column.unit, "column unit"))
-        if column.null is not None:
-            cards.append((f"TNULL{n}", column.null, "value of pixels without data"))
-        cards.append((f"TDISP{n}", column.display, "column display format"))
-        if size:
-            cards.append((f"TDIM{n}", f"({size[1]},{size[0]})", "column dimensions"))
+        defined = [
+            ("TTYPE", column.name, f"column title: {column.title}"),
+            ("TFORM", f"{size[0] * size[1] if size else ''}{column.kind}", "column format"),
+            ("TUNIT", column.unit, "column unit"),
+            ("TNULL", column.null, "value of pixels without data"),
+            ("TDISP", column.display, "column display format"),
+            ("TDIM", f"({size[1]},{size[0]})" if size else None, "column dimensions"),
+        ]
+        cards += [(f"{name}{n}", value, text) for name, value, text in defined if value is not None]
         if column.is_pixels:
             places += _column_wcs(n, metadata, shape)
     return [*cards, *places]
 
 
+def wcs_keywords(n):
+    """Return the keywords on the coordinates of column n, by those of an image."""
+    axes = {f"{name}{i}": f"{i}{own}{n}" for name, own in _WCS.items() for i in "12"}
+    return axes | {name: f"{name[2]}{name[4]}PC{n}" for name in _MATRIX}
+
+
 def _column_wcs(n, metadata, shape):
-    sky = tan_projection(metadata, shape)
-    cards = [
+    keywords = wcs_keywords(n)
+    sky = tan_projection(metadata, shape).items()
+    return [
         (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
         (f"WCAX{n}P", 2, "axes of the detector coordinates"),
         (f"1CTY{n}P", "RAWX", "axis 1: CCD column"), (f"2CTY{n}P", "RAWY", "axis 2: CCD row"),
@@ -202,13 +208,8 @@ def _column_wcs(n, metadata, shape):
         (f"1CDL{n}P", 1.0, "step of axis 1"), (f"2CDL{n}P", 1.0, "step of axis 2"),
         (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
         (f"WCAX{n}", 2, "axes of the sky coordinates"),
+        *((keywords[name], value, comment) for name, (value, comment) in sky),
     ]  # fmt: skip
-    for keyword, (value, comment) in sky.items():
-        if keyword.startswith("PC"):
-            cards.append((f"{keyword[2]}{keyword[4]}PC{n}", value, comment))
-        else:
-            cards.append((f"{keyword[5]}{WCS_NAMES[keyword[:5]]}{n}", value, comment))
-    return cards
 
 
 def tan_projection(metadata, shape):
@@ -308,19 +309,17 @@ def table_rows(columns, values):
 
 def checked_columns(mission, values):
     """Return the arrays that are there, by the names in the file, checked against each other."""
-    # Only times, quantities and masked values have these; plain arrays are not copied.
-    special = ("unit", "mask", "jd1")
+    cube = np.shape(values["flux"])
+    if len(cube) != 3 or 0 in cube:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {cube}")
+    checked = _checked_times(mission, values, cube[:1])
     for name, unit in _UNITS.items():
-        if any(hasattr(values[name], attribute) for attribute in special):
-            values[name] = plain_array(values[name], unit, name)
-    flux = np.asarray(values["flux"])
-    if flux.ndim != 3 or 0 in flux.shape:
-        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
-    checked = _checked_times(mission, values, flux.shape[:1])
-    for name in _UNITS:
-        if values[name] is not None:
-            shape = flux.shape if name in _CUBES else flux.shape[:1]
-            checked[name.upper()] = _floats(name, values[name], shape, broadcast=name in _CUBES)
+        value, shape = values[name], cube if name in _CUBES else cube[:1]
+        # Only times, quantities and masked values have these; plain arrays are not copied.
+        if any(hasattr(value, attribute) for attribute in ("unit", "mask", "jd1")):
+            value = plain_array(value, unit, name)
+        if value is not None:
+            checked[name.upper()] = _floats(name, value, shape, broadcast=name in _CUBES)
     error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
     if np.any(error <= 0):
         raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
@@ -329,7 +328,7 @@ def checked_columns(mission, values):
     if np.any(background_error < 0):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
     if values["raw_cnts"] is not None:
-        checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
+        checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], cube)
         if checked["RAW_CNTS"].min() < -1:
             raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
     return checked

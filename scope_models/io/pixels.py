@@ -18,16 +18,13 @@ from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
 from scope_models.io import _opening
-from scope_models.io._headers import OPTIMAL, WCS_NAMES
+from scope_models.io._headers import OPTIMAL, wcs_keywords
 from scope_models.io._opening import RefusedError
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
-#: Keywords of the WCS of the column FLUX, the fifth, and their names in an image.
-_WCS = {f"{n}{own}5": f"{name}{n}" for name, own in WCS_NAMES.items() for n in "12"}
-_WCS |= {f"{n}{m}PC5": f"PC{n}_{m}" for n in "12" for m in "12"}
 #: Offsets of this size and more mark missing positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
@@ -136,14 +133,14 @@ class PixelSeries(Value):
         ValueError
             If no cadence is left, or the choice is unknown.
         """
-        rejected = self.mission.quality.rejected if self.mission else 0
-        choice, named = quality_bitmask, {"none": 0, "default": rejected}
-        is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
-        if not is_integer and not (isinstance(choice, str) and choice in named):
+        named = {"none": 0, "default": self.mission.quality.rejected if self.mission else 0}
+        is_name = isinstance(quality_bitmask, str)
+        bits = named.get(quality_bitmask) if is_name else quality_bitmask
+        is_integer = isinstance(bits, Integral) and not isinstance(bits, bool)
+        if not is_integer:
             wanted = '"default", "none" or an integer'
-            raise ValueError(f"`quality_bitmask` must be {wanted}, got {choice!r}")
-        bits = int(choice) if is_integer else named[choice]
-        keep = (self.quality & bits) == 0
+            raise ValueError(f"`quality_bitmask` must be {wanted}, got {quality_bitmask!r}")
+        keep = (self.quality & int(bits)) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
             keep &= np.isfinite(self.time)
         if not keep.any():
@@ -297,19 +294,17 @@ def usable_positions(pos_corr):
 
 
 def _of_hdus(hdus, name):
+    def column(key, default=None, ndim=1):
+        return _opening.column_of(table, columns[key], name, ndim) if key in columns else default
+
     try:
         table = _opening.first_table(hdus, name)
         columns = {key.upper(): key for key in table.columns.names}
-        known = "FLUX" in columns
-        flux = _opening.column_of(table, columns["FLUX"], name, ndim=3) if known else None
+        flux = column("FLUX", ndim=3)
     except RefusedError as error:
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     if flux is None:
         raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
-
-    def column(key, default=None, ndim=1):
-        return _opening.column_of(table, columns[key], name, ndim) if key in columns else default
-
     n, *stamp = flux.shape
     if flux.size == 0:
         raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
@@ -482,7 +477,8 @@ def place_of(cards, shape):
 
 
 def _wcs(series):
-    cards = {own: series.header.get(key) for key, own in _WCS.items()}
+    # FLUX is the fifth column.
+    cards = {name: series.header.get(key) for name, key in wcs_keywords(5).items()}
     if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
         raise ValueError("the file has no WCS: give positions in pixels")
     return WCS({key: value for key, value in cards.items() if value is not None})

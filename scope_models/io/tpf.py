@@ -504,9 +504,7 @@ def _cosmic_ray_hdu(metadata, values):
 
 
 def _aperture_bits(aperture, shape):
-    if aperture is None:
-        return np.full(shape, _headers.COLLECTED, dtype=np.int32)
-    aperture = np.asarray(aperture)
+    aperture = np.zeros(shape, dtype=bool) if aperture is None else np.asarray(aperture)
     if aperture.shape != shape:
         raise ValueError(f"`aperture` must have the shape {shape}, got {aperture.shape}")
     if aperture.dtype.kind == "b":
