@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.utils.data import get_readable_fileobj
 
 from scope_models.batch._many import file_state
-from scope_models.batch.results import partition, write_star
+from scope_models.batch.results import DATA_SET, write_star
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, explains, pos_corr_track
 from scope_models.io import read_pixels, read_tpf
@@ -90,7 +90,9 @@ def archive_name(collection, file, key):
 
 def partition_of(file, key):
     """Return the place of a star in the data set, by campaign and channel."""
-    return partition(*ccd_label(file_cards(file)), key)
+    # The format has this name for a missing value.
+    run, ccd = (label or "__HIVE_DEFAULT_PARTITION__" for label in ccd_label(file_cards(file)))
+    return f"{DATA_SET}/campaign={run}/channel={ccd}/{key}.parquet"
 
 
 def write_manifest(table, folder):
@@ -177,25 +179,22 @@ def _place(file):
 
 def star_positions(tpf, path):
     """Return the motion of a CCD for a star; None if its own positions agree with it."""
-    motion, series = Motion.read(path), read_pixels(tpf)
-    stars = f"{len(motion.meta['stars'])} stars of {motion.meta['ccd'] or 'the same CCD'}"
-    if motion.meta["given"]:
-        warnings.warn(f"positions come from {stars}", DetrendingWarning, stacklevel=2)
-        return motion
-    try:
-        motion.offsets(series)
-    except ValueError:  # it has none of the cadences
-        return None
-    track = pos_corr_track("", series)
-    if not motion.meta["stars"]:  # they disagree
-        return None
-    if track is None:
-        message = f"POS_CORR is missing: positions come from {stars}"
-    else:
-        outvoted = len(motion.meta["stars"]) >= _MAJORITY
-        if not outvoted or explains(motion, track, series):
+    motion, series, reason = Motion.read(path), read_pixels(tpf), ""
+    n_stars = len(motion.meta["stars"])
+    if not motion.meta["given"]:
+        if not n_stars:  # they disagree
             return None
-        message = f"POS_CORR disagrees with that of other stars: positions come from {stars}"
+        try:
+            motion.offsets(series)
+        except ValueError:  # it has none of the cadences
+            return None
+        track, reason = pos_corr_track("", series), "POS_CORR is missing: "
+        if track is not None:
+            if n_stars < _MAJORITY or explains(motion, track, series):
+                return None
+            reason = "POS_CORR disagrees with that of other stars: "
+    place = motion.meta["ccd"] or "the same CCD"
+    message = f"{reason}positions come from {n_stars} stars of {place}"
     warnings.warn(message, DetrendingWarning, stacklevel=2)
     return motion
 

@@ -35,8 +35,6 @@ OSError, ValueError, SweepError
     As `~scope_models.batch.detrend_files`, or if an argument is not as described."""
 #: How the names of FITS files end.
 FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
-#: Columns of processor time and memory, which differ from run to run.
-_COST = "seconds", "peak_memory"
 #: Units of all columns of results.
 UNITS = {
     "mag": "mag", "ra": "deg", "dec": "deg", "flux": "electron / s",
@@ -60,21 +58,20 @@ def run_files(
     for option, value in options.items():
         if not isinstance(value, (bool, int, float, str, type(None))):
             raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
-    folder, tasks, keys, written = Path(folder).absolute(), [], {}, {}
+    folder, tasks, written = Path(folder).absolute(), [], {}
     for file, row in zip(names, rows or [{}] * len(names), strict=True):
         stem = unicodedata.normalize("NFC", FITS.sub("", Path(file).name))
         key = re.sub(r"[^\w.+=-]", "_", stem).strip("._-")
         if not key:
             raise ValueError(f"the name of {file} has no letter or digit for that of its output")
-        if key in keys:
-            raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
-        keys[key] = file
-        tasks.append({"key": key} | ({"file": file} | file_state(file) if are_files else {}) | row)
-        output = f"{key}{suffix}" if name_output is None else name_output(file, key)
-        if output in written:
-            raise ValueError(f"{written[output]} and {file} would both become {output}")
-        written[output] = file
-        tasks[-1]["output"] = output
+        usual = f"{key}{suffix}"
+        output = usual if name_output is None else name_output(file, key)
+        for path in dict.fromkeys((usual, output)):
+            if path in written:
+                raise ValueError(f"{written[path]} and {file} would both become {path}")
+            written[path] = file
+        state = {"file": file} | file_state(file) if are_files else {}
+        tasks.append({"key": key} | state | row | {"output": output})
     outputs = [folder / task["output"] for task in tasks]
     replaced = {identity(path) for path in outputs}
     for file in (*(names if are_files else ()), *inputs):
@@ -114,7 +111,7 @@ def _peak_memory():
 
 def _summary(table):
     """Return the medians of all columns of numbers, by half magnitudes."""
-    left_out = {"bytes", "changed", "mag", *_COST}
+    left_out = {"bytes", "changed", "mag", "seconds", "peak_memory"}
     names = [n for n in table.colnames if table[n].dtype.kind in "fi" and n not in left_out]
     bins = np.round(2 * values_of(table, "mag")) / 2
     rows = []

@@ -79,13 +79,10 @@ class Store:
     def _load(self, tasks):
         """Read which stars earlier runs have finished."""
         damaged = []
-        for key, text, crc in self._connection.execute("SELECT key, record, crc FROM stars"):
-            if crc != zlib.crc32(text, zlib.crc32(key)):
+        for key, record in _records(self._connection):
+            if record is None:
                 damaged.append(repr(key)[1:])
-                continue
-            record = json.loads(text)
-            name = record["task"]["key"]
-            if tasks.get(name) == record["task"]:
+            elif record["task"] == tasks.get(name := record["task"]["key"]):
                 self._failed[name] = "error" in record
         if damaged:
             where = f"{self._path}: damaged results ({listed(damaged)})"
@@ -154,13 +151,17 @@ def read_records(directory):
     try:
         with closing(sqlite3.connect(path, timeout=0)) as connection:
             connection.text_factory = bytes
-            stars = connection.execute("SELECT key, record, crc FROM stars").fetchall()
+            return [record for _, record in _records(connection) if record is not None]
     except sqlite3.DatabaseError as error:
         if _code_of(error) in _LOCKED:
             raise OSError(f"a run is writing to {directory}: wait until it has ended") from None
         raise ValueError(f"{path} is damaged") from error
-    sound = (text for key, text, crc in stars if crc == zlib.crc32(text, zlib.crc32(key)))
-    return [json.loads(text) for text in sound]
+
+
+def _records(connection):
+    """Yield the key and the record of each star, None if it is damaged."""
+    for key, text, crc in connection.execute("SELECT key, record, crc FROM stars"):
+        yield key, json.loads(text) if crc == zlib.crc32(text, zlib.crc32(key)) else None
 
 
 def _file_in(directory):

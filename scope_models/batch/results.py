@@ -20,7 +20,6 @@ __all__ = ["read_results"]
 
 #: Name of the data set in a results directory.
 DATA_SET = "light_curves"
-_UNKNOWN = "__HIVE_DEFAULT_PARTITION__"  # these data sets' name of a missing value
 #: Units of the columns of light curves.
 _FLUXES = "flux", "flux_err", "raw_flux", "raw_flux_err", "bkg_flux"
 _UNITS = {"time": "d"} | dict.fromkeys(_FLUXES, "electron / s")
@@ -111,12 +110,6 @@ def check_data_set(folder, *, overwrite):
     path = Path(folder) / DATA_SET
     if path.exists() and not overwrite and not (Path(folder) / FILE).exists():
         raise FileExistsError(f"{path} exists already; pass overwrite=True to replace its stars")
-
-
-def partition(campaign, channel, key):
-    """Return the path of a star in the folder."""
-    campaign, channel = campaign or _UNKNOWN, channel or _UNKNOWN
-    return f"{DATA_SET}/campaign={campaign}/channel={channel}/{key}.parquet"
 
 
 def write_star(path, row, light_curve):
