@@ -32,11 +32,10 @@ _ARGABRIGHTENING = 4096  # on the CCD
 
 # Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
 # magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
-# full well (e-/s), width of the PSF (px), pixel scale (arcsec).
-_NUMBERS = "zero_point exposure read_noise background well width pixel_scale"
-_Photometer = namedtuple("_Photometer", _NUMBERS)
-_KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
-_TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65, 21.0)
+# full well (e-/s), width of the PSF (px).
+_Photometer = namedtuple("_Photometer", "zero_point exposure read_noise background well width")
+_KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55)
+_TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65)
 _PHOTOMETERS = {"K2": _KEPLER, "Kepler": _KEPLER, "TESS": _TESS}
 
 
@@ -138,18 +137,18 @@ class MessyStar(Value):
         """
         from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
 
-        photometer, cadence = _PHOTOMETERS[self.regime.mission], self.regime.cadence
+        cadence = self.regime.cadence
         frames = {"TESS": (1.98, 0.02, 900)}.get(self.regime.mission, (6.0198, 0.5189, 270))
         metadata = TPFMetadata(
             mission=self.regime.mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
-            pixel_scale=photometer.pixel_scale, int_time=frames[0], read_time=frames[1],
-            n_frames=round(frames[2] * cadence / _LONG), time_delta=cadence,
+            int_time=frames[0], read_time=frames[1], time_delta=cadence,
+            n_frames=round(frames[2] * cadence / _LONG),
         )  # fmt: skip
         hdulist = make_tpf_hdulist(
-            metadata=metadata, time=self.time, cadenceno=self.cadenceno, raw_cnts=None,
-            flux=self.flux, flux_err=self.flux_err, flux_bkg=self.sky,
-            flux_bkg_err=0.01 * self.sky, quality=self.quality, pos_corr1=self.pos_corr1,
-            pos_corr2=self.pos_corr2, aperture=self.aperture,
+            metadata=metadata, time=self.time, cadenceno=self.cadenceno, flux=self.flux,
+            flux_err=self.flux_err, flux_bkg=self.sky, flux_bkg_err=0.01 * self.sky,
+            quality=self.quality, pos_corr1=self.pos_corr1, pos_corr2=self.pos_corr2,
+            aperture=self.aperture,
         )  # fmt: skip
         kind = TessTargetPixelFile if self.regime.mission == "TESS" else KeplerTargetPixelFile
         return kind(hdulist, quality_bitmask=quality_bitmask)
