@@ -50,8 +50,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
 
     Plain numbers are in ``unit`` already: "" for none, None for any, as of relative values. With
     a ``pixel_scale`` in arcseconds, angles convert to pixels and back; without it they are refused.
-    Errors name the argument: a TypeError if it holds no numbers, a ValueError if its unit does not
-    convert.
+    Errors name the argument: TypeError without numbers, ValueError if the unit does not convert.
     """
     any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):

@@ -127,8 +127,7 @@ class Mission(Value):
     pixel_scale : float
         Size of a pixel on the sky, arcsec.
     zero_points : tuple of (str, float)
-        Names and values of the flux of a star of ``zero_point_mag``, e-/s; the first is the usual
-        one.
+        Names and values of the flux of a star of ``zero_point_mag``, e-/s; the usual one first.
     zero_point_mag : float
         Magnitude that belongs to them.
     int_time, read_time : float

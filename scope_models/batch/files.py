@@ -1,8 +1,4 @@
-"""One call for many files: correct, fit, inject, and simulate the stars of a table.
-
-Each is a sweep whose stars are files, so that workers, results in one SQLite file, resuming and
-failures are those of `~scope_models.batch.run_sweep`.
-"""
+"""One call for many files: correct, fit, inject, and simulate the stars of a table."""
 
 import os
 import re
@@ -62,8 +58,7 @@ def detrend_files(
         collection of high-level science products has them, with a manifest; or one data set
         ``light_curves`` of Parquet files, a row per star.
     hlsp : mapping of str to str, optional
-        The collection of ``format="hlsp"``: its ``id``, ``lead`` and ``version``, and if wanted
-        ``title`` and ``doi``.
+        The collection of ``format="hlsp"``: id, lead and version, and if wanted title and doi.
     planets : astropy.table.Table or mapping, optional
         Columns period, t0 (a mid-transit, as in the file) and duration in days, one row for all
         files or one for each: cadences in transit are left out of the fit.
@@ -158,8 +153,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     Returns
     -------
     SweepResult
-        A row per file: chi-squared per degree of freedom, cadences, median flux, and the fitted
-        parameters.
+        A row per file: reduced chi-squared, cadences, median flux and the fitted parameters.
 
     {raises}
 

@@ -93,7 +93,6 @@ def read_light_curve(path):
 
 
 def _pyarrow():
-    """Import pyarrow, or raise an error that names the extra."""
     try:
         import pyarrow as pa
         import pyarrow.dataset
@@ -113,7 +112,6 @@ def check_data_set(folder, *, overwrite):
 
 
 def write_star(path, row, light_curve):
-    """Write the file of a star from its row and the table of its light curve."""
     pa = _pyarrow()
     columns, fields = [], []
     for name, value in row.items():

@@ -127,15 +127,13 @@ def run_sweep(
     """Compute a function of many stars, and keep each star that is finished.
 
     The result of a star must depend on its task and the configuration alone, with random numbers
-    from `star_seed`; then the tables do not depend on the number of workers, the order, or the cuts
-    between calls.
+    from `star_seed`; then the number of workers, the order and cuts between calls change no table.
 
     Parameters
     ----------
     measure : callable
-        Function of a task that returns a dictionary of numbers, strings, and true or false by the
-        name of their column. Worker processes must be able to unpickle it: a function of a module,
-        or `functools.partial` of one.
+        Function of a task that returns a dictionary of numbers, strings, and true or false by
+        column. Workers must be able to unpickle it: a module's function, or `functools.partial`.
     tasks : sequence of dict
         One small dictionary of numbers and strings per star. "key" is a unique name out of letters,
         digits and ``._+=-``.
@@ -155,8 +153,7 @@ def run_sweep(
     units : mapping of str to str, optional
         Units of columns.
     inputs : sequence of str or path-like, optional
-        Files that the results depend on. A directory that was begun with other contents of them is
-        refused.
+        Files that the results depend on. A directory begun with other contents is refused.
     output : callable, optional
         Function of a task that returns the path of the file that `measure` writes. Stars whose file
         is missing are computed again, and temporary files that a killed run has left beside it are
@@ -168,8 +165,7 @@ def run_sweep(
         Whether stars that failed in an earlier call are tried again, and whether to show a progress
         bar on the standard error.
     chunk_size : int, optional
-        Stars that a worker gets at a time; more than one saves time if a star takes less than
-        some milliseconds.
+        Stars that a worker gets at a time; more than one saves time if stars take milliseconds.
     in_flight : int, optional
         Chunks that are submitted and not finished, at most; at least twice the number of workers.
         Processes of our own have two each.

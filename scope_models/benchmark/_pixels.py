@@ -1,4 +1,4 @@
-"""Images of messy stars: a Fourier rendering that shares no code with the simulator.
+"""Images of messy stars: a rendering that neither simulator nor correctors nor fits use.
 
 The PSF is a Fourier series on a periodic field, the response of each pixel an oversampled map.
 The light of a pixel is the sum over the modes of the PSF's coefficient, the phase of the star's

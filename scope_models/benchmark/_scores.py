@@ -20,24 +20,21 @@ _SIDE = 8  # cadences on either side of a border, at least
 
 @dataclass(frozen=True)
 class SkyScore:
-    """Score of a light curve against the star's true flux.
+    """Score of a light curve, but for a constant factor, against the star's true flux.
 
     Attributes
     ----------
     full : float
-        Standard deviation of 6.5-h bins of corrected over true flux, in units of the floor. Only
-        a constant factor is removed.
+        Standard deviation of 6.5-h bins of corrected over true flux, in units of the floor.
     high_passed : float
         The same after a running mean of 3 d has been subtracted.
     amplitude : float
         Part of the star's variability that is kept: slope of the corrected flux on the true one,
         outside of transits; NaN for constant stars.
     depth : float
-        Part of the transits' depth that is kept, with a straight line around each transit; NaN
-        without transits.
+        Part of the transits' depth that is kept, below a line around each; NaN without transits.
     pull : float
-        Root mean square of the cadences' deviations from the truth over the quoted errors, only
-        a constant factor removed.
+        Root mean square of the cadences' deviations from the truth over the quoted errors.
     kept, floor : float
         Part of the cadences that have a corrected flux; and expected photon, background and read
         noise of a 6.5-h bin, ppm.

@@ -35,8 +35,7 @@ def benchmark_star(number):
     Parameters
     ----------
     number : int
-        Number of the star, from 0; all regimes of `~scope_models.benchmark.REGIMES` follow
-        each other.
+        Number of the star, from 0; stars take the `~scope_models.benchmark.REGIMES` in turn.
 
     Returns
     -------

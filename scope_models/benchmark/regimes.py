@@ -40,8 +40,7 @@ class SkyRegime(Value):
         Relative depth, period and duration of transits, days. A period of infinity stands for one
         transit.
     neighbors : tuple of (float, float, float), optional
-        Magnitude difference, distance in pixels, and amplitude of a variability with a period of
-        1.1 d, of each neighbor.
+        Magnitude difference, distance (px) and amplitude of a 1.1-d variability of each neighbor.
     focus, focus_period : float, optional
         Largest relative change of the PSF's width, and its period, days.
     seeing : float, optional

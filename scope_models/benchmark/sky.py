@@ -1,8 +1,4 @@
-"""Messy stars: pixels with all that real skies do, their truth, and scores of corrected curves.
-
-The images come from a rendering of their own (a Fourier series of the PSF against an oversampled
-map of each pixel's response), which neither the simulator nor the correctors and fits use.
-"""
+"""Messy stars: pixels with all that real skies do, their truth, and scores of corrected curves."""
 
 from collections import namedtuple
 from dataclasses import dataclass, field
@@ -109,8 +105,7 @@ class MessyStar(Value):
         Returns
         -------
         float
-            Median over the cadences of photon, background and read noise over the star's light,
-            both in `aperture`.
+            Median over cadences of photon, background and read noise over starlight in `aperture`.
 
         Examples
         --------

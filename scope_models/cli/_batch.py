@@ -82,7 +82,6 @@ def single(arguments):
 
 
 def refuse_options_of_runs(arguments):
-    """Refuse options of many files where there is one."""
     if arguments.workers != 1 or arguments.scheduler:
         name = "--scheduler" if arguments.workers == 1 else "--workers"
         raise ValueError(f"{name} needs an --output-dir")
@@ -100,7 +99,6 @@ def add_options(parser):
 
 
 def add_workers(parser):
-    """Add ``--workers`` and ``--scheduler``, which exclude each other."""
     add = adder(parser.add_mutually_exclusive_group())
     add("--workers", "processes on this machine (default: 1)", type=int, default=1, metavar="N")
     add("--scheduler", "address of a Dask scheduler, as tls://host:8786", metavar="ADDRESS")

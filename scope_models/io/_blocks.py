@@ -1,7 +1,4 @@
-"""Headers with their data as they are in a FITS file, without astropy's checks of each card.
-
-This takes a tenth of the time: of a small file, headers are the most.
-"""
+"""Headers and data as in a FITS file, without astropy's checks of each card: ten times faster."""
 
 import io
 import math

@@ -1,7 +1,4 @@
-"""The headers and the pixel table of a target pixel file.
-
-A template for each mission and the computed cards; the columns, and checks of their values.
-"""
+"""The headers and the pixel table of a target pixel file, and checks of their values."""
 
 import datetime as dt
 import warnings

@@ -436,8 +436,7 @@ def star_places(name, places, series):
 def read_neighbors(path, series):
     """Return the stars of a catalog file that are in the pixels of a `PixelSeries`, a table.
 
-    Of stars on the sky, the nearest to the target's coordinates, if within a pixel, is the target,
-    which is left out.
+    Of stars on the sky, the target, nearest to its coordinates within a pixel, is left out.
     """
     table = _opening.read_table(path)
     places = star_places("neighbors", table, series)

@@ -56,11 +56,9 @@ class TPFMetadata(Value):
     object_name : str, optional
         OBJECT; by default "SIM" and the number, for the star is not the one of a catalog.
     ra, dec : float or Quantity, optional
-        Position, deg; by default the middle of a field of the mission (for TESS the north
-        ecliptic pole).
+        Position, deg; by default the middle of a field (for TESS the north ecliptic pole).
     x_0, y_0 : float or Quantity, optional
-        The pixel (0-based, in the stamp) that looks at ``ra`` and ``dec``; by default the middle
-        of the stamp.
+        The pixel of the stamp, from 0, that looks at ``ra`` and ``dec``; by default the middle.
     orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
         to the north and columns to the west.
@@ -310,8 +308,7 @@ def make_tpf_hdulist(
     cosmic_rays : array_like, shape (n, ny, nx), optional
         Cosmic rays that were taken out, e-/s; NaN where there were none.
     aperture : array_like of bool or int, shape (ny, nx), optional
-        The optimal aperture; or bits, 1 for collected and 2 for optimal. By default every pixel is
-        collected and none is chosen.
+        The optimal aperture; or bits, 1 for collected and 2 for optimal. By default all are 1.
     truth_columns : dict of str to array_like of shape (n, ...), optional
         True values at each cadence, for the TRUTH table.
     truth_maps : dict of str to array_like of shape (ny, nx), optional
