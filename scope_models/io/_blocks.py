@@ -17,6 +17,11 @@ _NO_CHECKSUM = "0" * 16
 _FORMS = {"i4": "J", "f4": "E", "f8": "D"}
 # Characters between digits and letters, which a checksum must not have.
 _EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
+# The cards that each HDU of a kind begins with, as astropy writes them.
+_PRIMARY, _IMAGE, _TABLE = (
+    [(card.keyword, card.value, card.comment) for card in hdu.header.cards]
+    for hdu in (fits.PrimaryHDU(), fits.ImageHDU(np.zeros((1, 1))), fits.BinTableHDU())
+)
 
 
 @dataclass(frozen=True)
@@ -28,43 +33,25 @@ class Block:
 
     @classmethod
     def primary(cls, cards, n_extensions):
-        start = [
-            ("SIMPLE", True, "conforms to FITS standard"),
-            ("BITPIX", 8, "array data type"),
-            ("NAXIS", 0, "number of array dimensions"),
-            ("EXTEND", True, ""),
-            ("NEXTEND", n_extensions, "number of extensions"),
-        ]
-        return cls("".join(card_texts([*start, *cards])))
+        number = ("NEXTEND", n_extensions, "number of extensions")
+        return cls("".join(card_texts([*_PRIMARY, number, *cards])))
 
     @classmethod
     def image(cls, data, cards):
-        size = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
-        start = [
-            ("XTENSION", "IMAGE", "Image extension"),
-            ("BITPIX", size, "array data type"),
-            ("NAXIS", 2, "number of array dimensions"),
-            ("NAXIS1", data.shape[1], ""),
-            ("NAXIS2", data.shape[0], ""),
-            ("PCOUNT", 0, "number of parameters"),
-            ("GCOUNT", 1, "number of groups"),
-        ]
-        return cls("".join(card_texts([*start, *cards])), data)
+        bits = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
+        sizes = {"BITPIX": bits, "NAXIS1": data.shape[1], "NAXIS2": data.shape[0]}
+        return cls._sized(_IMAGE, sizes, cards, data)
 
     @classmethod
     def table(cls, rows, cards):
         """Return the extension of a table, whose cards define the columns, too."""
-        start = [
-            ("XTENSION", "BINTABLE", "binary table extension"),
-            ("BITPIX", 8, "array data type"),
-            ("NAXIS", 2, "number of array dimensions"),
-            ("NAXIS1", rows.dtype.itemsize, "length of dimension 1"),
-            ("NAXIS2", len(rows), "length of dimension 2"),
-            ("PCOUNT", 0, "number of group parameters"),
-            ("GCOUNT", 1, "number of groups"),
-            ("TFIELDS", len(rows.dtype), "number of table fields"),
-        ]
-        return cls("".join(card_texts([*start, *cards])), rows)
+        sizes = {"NAXIS1": rows.dtype.itemsize, "NAXIS2": len(rows), "TFIELDS": len(rows.dtype)}
+        return cls._sized(_TABLE, sizes, cards, rows)
+
+    @classmethod
+    def _sized(cls, start, sizes, cards, data):
+        start = [(name, sizes.get(name, value), comment) for name, value, comment in start]
+        return cls("".join(card_texts([*start, *cards])), data)
 
     def hdu(self):
         """Return the HDU, which shares its memory with the block."""
