@@ -17,6 +17,7 @@ from astropy.time import Time
 
 from scope_models._version import __version__
 from scope_models.io._headers import COLLECTED, OPTIMAL, calendar_dates
+from scope_models.io._opening import NO_FACTS
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import Mission
 
@@ -29,13 +30,11 @@ __all__ = [
 _OF_COLUMNS = re.compile(r"\d|WC|T(TYPE|FORM|UNIT|DISP|DIM|NULL|SCAL|ZERO)\d|NAXIS")
 _OF_SIZES = re.compile("NAXIS")
 # What describes the pixels' file, the pipeline's aperture, or cadences that may have been left out.
-_NO_LONGER_TRUE = {
-    *("SIMPLE", "XTENSION", "BITPIX", "EXTEND", "NEXTEND", "PCOUNT", "GCOUNT", "TFIELDS"),
-    *("EXTNAME", "EXTVER", "INHERIT", "CHECKSUM", "DATASUM", "FILEVER", "TIMVERSN"),
-    *("ORIGIN", "DATE", "CREATOR", "PROCVER", "", "COMMENT", "HISTORY"),
+_NO_LONGER_TRUE = NO_FACTS | {
+    *("NEXTEND", "EXTNAME", "EXTVER", "INHERIT", "FILEVER", "TIMVERSN", "ORIGIN", "DATE"),
+    *("CREATOR", "PROCVER", "EXPOSURE", "LIVETIME", "NPIXSAP", "NPIXMISS"),
     *("CDPP3_0", "CDPP6_0", "CDPP12_0", "CDPP0_5", "CDPP1_0", "CDPP2_0", "CROWDSAP", "FLFRCSAP"),
     *("TSTART", "TSTOP", "TELAPSE", "DATE-OBS", "DATE-END", "LC_START", "LC_END"),
-    *("EXPOSURE", "LIVETIME", "NPIXSAP", "NPIXMISS"),
 }
 #: Instrument and filter in names. TESS has one instrument without an acronym, for which the
 #: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.

@@ -19,7 +19,7 @@ from scope_models.exceptions import DamagedFileWarning
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
-    "MOST", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
+    "MOST", "NO_FACTS", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
     "first_table", "making", "naming", "open_fits", "read_columns", "read_positions", "read_table",
     "time_format_of",
 ]  # fmt: skip
@@ -36,8 +36,8 @@ MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
 _POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
-_NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
-_NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
+NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
+NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
 _FACTS = {name: name.upper() for name in ("object", "campaign", "quarter", "sector", "channel")}
 _FACTS |= {"camera": "CAMERA", "ccd": "CCD", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
 
@@ -56,7 +56,7 @@ def open_fits(path):
     """
     content = _content(Path(path))
     try:
-        _check_axes(content, 0, path)
+        _check_axes(content, 0)
         with fits.open(io.BytesIO(content), memmap=False) as hdus:
             _check(hdus, content, path)
             yield hdus
@@ -129,17 +129,17 @@ def _check(hdus, content, path):
     """Refuse HDUs that claim more than the file holds; warn of what else does not match."""
     mismatches, end, number = [], 0, 0
     while content[end : end + 9] in {b"SIMPLE  =", b"XTENSION="}:
-        _check_axes(content, end, path)
+        _check_axes(content, end)
         hdu = hdus[number]  # read now
         place = hdu.fileinfo()
         start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
         kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
         if not isinstance(hdu, kinds):
-            raise _refused(path, f"HDU {number} is neither an image nor a table")
+            raise TypeError(f"HDU {number} is neither an image nor a table")
         if end > len(content) or place["datSpan"] < 0:
-            raise _refused(path, f"HDU {number} claims more bytes than the file has")
+            raise ValueError(f"HDU {number} claims more bytes than the file has")
         if isinstance(hdu, fits.BinTableHDU | fits.TableHDU):
-            _check_columns(hdu, path)
+            _check_columns(hdu)
         for keyword, begin in (("DATASUM", place["datLoc"]), ("CHECKSUM", start)):
             text = str(hdu.header.get(keyword, "")).strip()
             wanted = 0 if keyword == "CHECKSUM" else int(text) if text.isdigit() else -1
@@ -149,7 +149,7 @@ def _check(hdus, content, path):
                 break
         number += 1
     if content[end:].strip(b"\0 "):
-        raise _refused(path, "bytes after its last HDU are not an extension")
+        raise ValueError("bytes after its last HDU are not an extension")
     claimed = hdus[0].header.get("NEXTEND")
     if isinstance(claimed, int) and len(hdus) - 1 < claimed:
         mismatches.append(f"NEXTEND ({len(hdus) - 1} of {claimed} extensions)")
@@ -159,30 +159,26 @@ def _check(hdus, content, path):
         warnings.warn(message, DamagedFileWarning, stacklevel=5)
 
 
-def _check_axes(content, start, path):
+def _check_axes(content, start):
     """Refuse a header with more axes than FITS allows, before astropy lists them."""
     stream = io.BytesIO(content)
     stream.seek(start)
     axes = fits.Header.fromfile(stream).get("NAXIS")
     if isinstance(axes, int) and axes > MOST:
-        raise _refused(path, f"NAXIS is {axes}")
+        raise ValueError(f"NAXIS is {axes}")
 
 
-def _check_columns(hdu, path):
+def _check_columns(hdu):
     """Refuse a table whose columns do not fit its rows."""
     n_columns = hdu.header["TFIELDS"]
     if isinstance(n_columns, bool) or not 0 <= n_columns <= MOST:
-        raise _refused(path, f"TFIELDS is {n_columns}")
+        raise ValueError(f"TFIELDS is {n_columns}")
     width, length = hdu.columns.dtype.itemsize, hdu.header["NAXIS1"]
     if width > length:
-        raise _refused(path, f"the columns of a table have {width:,} bytes, its rows {length:,}")
+        raise ValueError(f"the columns of a table have {width:,} bytes, its rows {length:,}")
     for number in range(1, n_columns + 1):
         if not isinstance(hdu.header.get(f"TTYPE{number}"), str):
-            raise _refused(path, f"TTYPE{number} is absent or not text")
-
-
-def _refused(path, reason):
-    return RefusedError(_unreadable(path, reason))
+            raise TypeError(f"TTYPE{number} is absent or not text")
 
 
 def checksum_of(data, start=0):
@@ -288,7 +284,7 @@ def cards_of(*headers):
     facts = {}
     for header in headers:
         for key, value in plain_tree(dict(header.items())).items():
-            if key in _NO_FACTS or key.startswith("NAXIS"):
+            if key in NO_FACTS or key.startswith("NAXIS"):
                 continue
             known = isinstance(value, (str, bool, int, float, complex))
             facts[key] = value if known else facts.get(key)
