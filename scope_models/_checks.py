@@ -92,12 +92,14 @@ def checked_integer(name, value, smallest, largest=None):
     return int(value)
 
 
-def checked_int32(name, values):
+def checked_int32(name, values, shape=None):
     array, limits = np.asarray(values), np.iinfo(np.int32)
     if array.dtype.kind not in "iu":
         raise TypeError(f"`{name}` must hold integers, got {array.dtype}")
     if array.size and (array.min() < limits.min or array.max() > limits.max):
         raise ValueError(f"`{name}` must fit into 32 bits, got {array.min()} to {array.max()}")
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
     return array.astype(np.int32, copy=False)
 
 

@@ -169,7 +169,7 @@ def calendar_dates(zero, days):
 
 def pixel_column_cards(columns, metadata, shape):
     """Return keyword, value and comment of the cards of the columns of the pixel table."""
-    cards, places = [], []
+    cards, places, sky = [], [], tan_projection(metadata, shape)
     for n, column in enumerate(columns, 1):
         size = column.image_shape(shape)
         defined = [
@@ -182,7 +182,7 @@ def pixel_column_cards(columns, metadata, shape):
         ]
         cards += [(f"{name}{n}", value, text) for name, value, text in defined if value is not None]
         if column.is_pixels:
-            places += _column_wcs(n, metadata, shape)
+            places += _column_wcs(n, metadata, sky)
     return [*cards, *places]
 
 
@@ -192,9 +192,8 @@ def wcs_keywords(n):
     return axes | {name: f"{name[2]}{name[4]}PC{n}" for name in _MATRIX}
 
 
-def _column_wcs(n, metadata, shape):
+def _column_wcs(n, metadata, sky):
     keywords = wcs_keywords(n)
-    sky = tan_projection(metadata, shape).items()
     return [
         (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
         (f"WCAX{n}P", 2, "axes of the detector coordinates"),
@@ -205,7 +204,7 @@ def _column_wcs(n, metadata, shape):
         (f"1CDL{n}P", 1.0, "step of axis 1"), (f"2CDL{n}P", 1.0, "step of axis 2"),
         (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
         (f"WCAX{n}", 2, "axes of the sky coordinates"),
-        *((keywords[name], value, comment) for name, (value, comment) in sky),
+        *((keywords[name], value, comment) for name, (value, comment) in sky.items()),
     ]  # fmt: skip
 
 
@@ -325,7 +324,7 @@ def checked_columns(mission, values):
     if np.any(background_error < 0):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
     if values["raw_cnts"] is not None:
-        checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], cube)
+        checked["RAW_CNTS"] = checked_int32("raw_cnts", values["raw_cnts"], cube)
         if checked["RAW_CNTS"].min() < -1:
             raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
     return checked
@@ -339,10 +338,10 @@ def _checked_times(mission, values, shape):
         raise ValueError("`time` must have a finite value")
     if np.any(np.diff(known) <= 0):
         raise ValueError("`time` must increase from cadence to cadence")
-    number = _integers("cadenceno", values["cadenceno"], shape)
+    number = checked_int32("cadenceno", values["cadenceno"], shape)
     if number[0] < 1 or np.any(np.diff(number) <= 0):
         raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
-    quality = _integers("quality", values["quality"], shape)
+    quality = checked_int32("quality", values["quality"], shape)
     if quality.min() < 0:
         raise ValueError(f"`quality` must not be negative, got {quality.min()}")
     no_data = np.where(np.isnan(time), mission.quality.no_data, 0).astype(np.int32)
@@ -365,11 +364,4 @@ def _floats(name, values, shape, *, broadcast=False):
         return array.astype(float)
     if np.any(np.abs(array) > np.finfo(np.float32).max):
         raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
-    return array
-
-
-def _integers(name, values, shape):
-    array = checked_int32(name, values)
-    if array.shape != shape:
-        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
     return array

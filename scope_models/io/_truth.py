@@ -167,8 +167,7 @@ class Truth(Value):
 
     def _names(self, prefix):
         """Return the names of a column for star 1, 2, ..."""
-        names = (f"{prefix}{n}" for n in count(1))
-        return list(takewhile(self.columns.__contains__, names))
+        return list(takewhile(self.columns.__contains__, (f"{prefix}{n}" for n in count(1))))
 
     def _stack(self, prefix):
         """Return a column of all stars, shape (n_stars, n_cadences)."""

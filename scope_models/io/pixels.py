@@ -321,10 +321,9 @@ def _of_hdus(hdus, name):
         "pos_corr": None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
         "aperture": (np.asarray(bits) & OPTIMAL) > 0 if has_aperture else np.ones(stamp, bool),
     }  # fmt: skip
-    shapes = {"pos_corr": (n, 2), "aperture": tuple(stamp)}
-    for key, array in values.items():
-        shape = shapes.get(key, flux.shape if key.startswith("flux") else (n,))
-        if array is not None and array.shape != shape:
+    shapes = {"flux_err": flux.shape, "flux_bkg": flux.shape, "aperture": tuple(stamp)}
+    for key, shape in shapes.items():
+        if (array := values[key]) is not None and array.shape != shape:
             raise RefusedError(f"{name}: {key} must have the shape {shape}, got {array.shape}")
     for key in ("cadenceno", "quality"):
         if values[key].dtype.kind not in "iub":

@@ -4,7 +4,7 @@ import datetime as dt
 import gzip
 import inspect
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, dataclass, field
 from os import PathLike
 from pathlib import Path
 
@@ -32,6 +32,8 @@ _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
 _OF_DETECTOR = (*_OF_MISSION, "mission", "n_frames", "gain", "read_noise", "mean_black")
 _OF_DETECTOR += ("fixed_offset",)
+_SIMULATED = ("SIMDATA", True, "the data are simulated")
+_NOT_SIMULATED = ("SIMDATA", False, "the data are not simulated")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -460,30 +462,23 @@ def _tpf_blocks(
     aperture = _aperture_bits(aperture, shape)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     times = values["TIME"], values.get("TIMECORR", np.full(n_cadences, np.nan)), int(used.sum())
-    primary, table, image = _headers.make_headers(metadata, *times, aperture)
+    headers = _headers.make_headers(metadata, *times, aperture)
+    if not simulated:
+        old, new = card_texts([_SIMULATED, _NOT_SIMULATED])
+        headers = [[new if card == old else card for card in cards] for cards in headers]
+    primary, table, image = headers
     cards = [*_headers.pixel_column_cards(layout, metadata, shape), *table]
     blocks = [Block.table(_headers.table_rows(layout, values), cards), Block.image(aperture, image)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
-        blocks.append(_cosmic_ray_hdu(metadata, values))
+        blocks.append(_cosmic_ray_hdu(metadata, values, simulated))
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
     blocks.insert(0, Block.primary(primary, len(blocks)))
-    return blocks if simulated else [_not_simulated(block) for block in blocks]
+    return blocks
 
 
-def _not_simulated(block):
-    """Return a block whose header does not say that its data are simulated."""
-    simulated, other = (True, "the data are simulated"), (False, "the data are not simulated")
-    if isinstance(block, Block):
-        old, new = card_texts([("SIMDATA", *simulated), ("SIMDATA", *other)])
-        return replace(block, cards=block.cards.replace(old, new))
-    if "SIMDATA" in block.header:
-        block.header["SIMDATA"] = other
-    return block
-
-
-def _cosmic_ray_hdu(metadata, values):
+def _cosmic_ray_hdu(metadata, values, simulated):
     """Return the list of cosmic rays of files that have no column of them."""
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
@@ -496,7 +491,7 @@ def _cosmic_ray_hdu(metadata, values):
     hdu = fits.BinTableHDU.from_columns(columns, name="TARGET COSMIC RAY")
     hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
     hdu.header["EXTVER"] = (1, "version of extension")
-    hdu.header["SIMDATA"] = (True, "the data are simulated")
+    hdu.header.append(_SIMULATED if simulated else _NOT_SIMULATED)
     return hdu
 
 
