@@ -346,27 +346,25 @@ _TESS_BITS = QualityBits(
 # Frames and offsets: headers of target pixel files. Pixel scale: KSCI-19033 (Kepler Instrument
 # Handbook). Zero points: Kepler GO calibration page; KSCI-19033-002, section 7.5. Wells of the 84
 # channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
-_PHOTOMETER = {
-    "telescope": "Kepler", "instrument": "Kepler Photometer", "band": "Kp", "time_format": "bkjd",
-    "time_unit": "BJD - 2454833", "pixel_scale": 3.98,
-    "zero_points": (("optimal aperture", 1.74e5), ("focal plane", 2.141e5)), "zero_point_mag": 12.0,
-    "int_time": 6.019802903270, "read_time": 0.518948526144,
-    "cadences": (Cadence("long", 270, 419400), Cadence("short", 9, 219400)), "well_depth": 1.08e6,
-    "quality": _KEPLER_BITS, "quality_column": "SAP_QUALITY", "id_keyword": "KEPLERID",
-    "magnitude_keyword": "KEPMAG", "gain_keyword": "GAIN", "read_noise_keyword": "READNOIS",
-    "black_keyword": "MEANBLCK", "offset_keywords": ("LCFXDOFF", "SCFXDOFF"),
-    "places": ("channel", "module", "output"), "tpf_class": "KeplerTargetPixelFile",
-}  # fmt: skip
 _KEPLER = Mission(
-    name="Kepler", template="kepler", run="quarter", absent_columns=("RB_LEVEL",),
+    name="Kepler", telescope="Kepler", instrument="Kepler Photometer", template="kepler", band="Kp",
+    time_format="bkjd", time_unit="BJD - 2454833",
     start=131.5,  # about the beginning of quarter 1
+    pixel_scale=3.98, zero_points=(("optimal aperture", 1.74e5), ("focal plane", 2.141e5)),
+    zero_point_mag=12.0, int_time=6.019802903270, read_time=0.518948526144,
+    cadences=(Cadence("long", 270, 419400), Cadence("short", 9, 219400)), well_depth=1.08e6,
+    quality=_KEPLER_BITS, quality_column="SAP_QUALITY", id_keyword="KEPLERID",
+    magnitude_keyword="KEPMAG", gain_keyword="GAIN", read_noise_keyword="READNOIS",
+    black_keyword="MEANBLCK", offset_keywords=("LCFXDOFF", "SCFXDOFF"), run="quarter",
+    places=("channel", "module", "output"), absent_columns=("RB_LEVEL",),
     # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
-    displays=("D12.7", "E13.6", "B24.24"), field_center=(290.6667, 44.5), **_PHOTOMETER,
+    displays=("D12.7", "E13.6", "B24.24"), field_center=(290.6667, 44.5),
+    tpf_class="KeplerTargetPixelFile",
 )  # fmt: skip
-_K2 = Mission(
-    name="K2", template="k2", run="campaign", absent_columns=(),
+_K2 = replace(
+    _KEPLER, name="K2", template="k2", run="campaign", absent_columns=(),
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
-    displays=("D14.7", "E14.7", "B24.24"), field_center=(336.6667, -11.0967), **_PHOTOMETER,
+    displays=("D14.7", "E14.7", "B24.24"), field_center=(336.6667, -11.0967),
 )  # fmt: skip
 # Frames and offsets: headers of target pixel files. The rest: TESS Instrument Handbook. On board,
 # the mitigation of cosmic rays drops the highest and lowest of ten reads, except in 20-s data.
