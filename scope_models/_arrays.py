@@ -73,8 +73,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     except (TypeError, ValueError) as error:
         raise TypeError(f"`{name}` must hold numbers, got {value!r}{_hint(unit)}") from error
     if pixel_scale is not None:
-        scale = float(pixel_scale) * u.arcsec / u.pix
-        equivalencies = [*equivalencies, *u.pixel_scale(scale)]
+        equivalencies = [*equivalencies, *u.pixel_scale(float(pixel_scale) * u.arcsec / u.pix)]
     if any_unit:
         return quantity.value
     try:

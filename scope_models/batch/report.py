@@ -21,8 +21,7 @@ from scope_models.missions import MISSIONS
 
 __all__ = ["write_report"]
 
-#: Medians of the unsaturated stars of campaigns 3 to 6 of K2, by magnitude, ppm, in EVEREST's
-#: convention: computed from the light curves of the 79,699 stars that all pipelines have.
+#: Medians by magnitude, ppm, of the stars in `_SOURCES`.
 _PUBLISHED = {
     "mag": [11.5, 12.5, 13.5, 14.5, 15.5, 16.5, 17.5],
     "raw, published": [212, 217, 255, 347, 744, 1534, 2752],

@@ -113,16 +113,13 @@ def check_data_set(folder, *, overwrite):
 
 def write_star(path, row, light_curve):
     pa = _pyarrow()
-    columns, fields = [], []
-    for name, value in row.items():
-        unit = {"unit": UNITS[name]} if name in UNITS else None
-        columns.append(pa.array([value]))
-        fields.append(pa.field(name, columns[-1].type, metadata=unit))
     names = light_curve.dtype.names
     lists = [pa.array([native(light_curve[name])]) for name in names]
     names = [name.lower().replace("sap_quality", "quality") for name in names]
-    columns.append(pa.StructArray.from_arrays(lists, names=names))
-    fields.append(pa.field("light_curve", columns[-1].type))
+    columns = {name: pa.array([value]) for name, value in row.items()}
+    columns["light_curve"] = pa.StructArray.from_arrays(lists, names=names)
+    units = {name: {"unit": unit} for name, unit in UNITS.items()}
+    fields = [pa.field(name, c.type, metadata=units.get(name)) for name, c in columns.items()]
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path, overwrite=True) as temporary:
         pa.parquet.write_table(pa.table(columns, schema=pa.schema(fields)), temporary)

@@ -1,11 +1,10 @@
 """Computes a function of many stars, here or on a cluster, and keeps finished ones."""
 
-import dataclasses
 import hashlib
 import json
 import warnings
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -216,7 +215,7 @@ def run_sweep(
     if not callable(measure):
         raise TypeError(f"`measure` must be a function of a task, got {measure!r}")
     directory = None if directory is None else Path(directory).absolute()
-    fields = dataclasses.asdict(config) if dataclasses.is_dataclass(config) else dict(config or {})
+    fields = asdict(config) if is_dataclass(config) else dict(config or {})
     meta = {"creator": f"scope_models {__version__}", "study": name, **plain_tree(fields)}
     tasks = checked_tasks(tasks)
     outputs = {task["key"]: Path(output(task)) for task in tasks if output is not None}

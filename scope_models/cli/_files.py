@@ -58,8 +58,7 @@ def _add_detrend(commands):
     add_any = _batch.adder(parser)
     add_any("--figure", "the figure (default: the output's name with .png)", metavar="FILE")
     add("--order", "pixel fractions that are multiplied (default: 2)", type=int)
-    text = "model of the long-term variability (default: gp)"
-    add("--trend", text, choices=("gp", "quadratic"))
+    add("--trend", "model of the long-term variability (default: gp)", choices=("gp", "quadratic"))
     text = "remove the long-term variability too"
     add("--remove-trend", text, dest="restore_trend", action="store_false")
     text = "find the part of a transit that survives, by a second correction"

@@ -66,8 +66,7 @@ def _add_sky(group):
     add("--dec", "declination of the target", **degrees)
     text = "position angle of growing rows from north to east (default: 0)"
     add("--orientation", text, **degrees)
-    text = "leave out fainter stars of --catalog"
-    add("--magnitude-limit", text, type=float, metavar="MAG")
+    add("--magnitude-limit", "leave out fainter stars of --catalog", type=float, metavar="MAG")
     text = "draw stars down to this magnitude by the mean counts in this direction"
     add("--background-stars", text, type=float, metavar="MAG")
     text = (
