@@ -53,13 +53,10 @@ def planet_of(arguments):
     return planet
 
 
-def planets_of(arguments):
-    """Return the planets of ``--planets``, a table, or the one of the options, as columns."""
-    planet = planet_of(arguments)
+def planets_of(arguments, planet):
+    """Return the planets of ``--planets``, a table, or the one given as columns; None without."""
     if arguments.planets is None:
-        if not planet:
-            raise ValueError("--period and --depth are needed, or --planets")
-        return {name: [value] for name, value in planet.items()}
+        return {name: [value] for name, value in planet.items()} or None
     if planet:
         raise ValueError("--period and --depth cannot be combined with --planets")
     from scope_models.io._opening import read_table

@@ -39,10 +39,11 @@ def _run(arguments):
     _batch.check_number(arguments, "cadences")
     options = _batch.given(arguments, *arguments.names)
     if arguments.command == "inject":
-        options["planets"] = _batch.planets_of(arguments)
+        options["planets"] = _batch.planets_of(arguments, _batch.planet_of(arguments))
+        if options["planets"] is None:
+            raise ValueError("--period and --depth are needed, or --planets")
     if arguments.command == "detrend":
-        many, one = _detrend_options(arguments)
-        options |= one if arguments.output_dir is None else many
+        options |= _detrend_options(arguments)
     if arguments.output_dir is not None:
         compute = getattr(sm.batch, f"{arguments.command}_files")
         return _batch.run(compute, arguments, arguments.input, **options)
@@ -91,7 +92,7 @@ def _add_detrend(commands):
 
 
 def _detrend_options(arguments):
-    """Return options for many files, and for one, that are not arguments of a correction."""
+    """Return options, for many files or for one, that are not arguments of a correction."""
     planet = _batch.given(arguments, "period", "t0", "duration")
     if planet and (len(planet) < 3 or arguments.planets is not None):
         raise ValueError("a mask of transits needs --period, --t0 and --duration, or --planets")
@@ -99,21 +100,16 @@ def _detrend_options(arguments):
     hlsp = {name.removeprefix("hlsp_"): value for name, value in hlsp.items()}
     if arguments.format == "hlsp" and not {"id", "lead", "version"} <= hlsp.keys():
         raise ValueError("--format hlsp needs --hlsp-id, --lead and --version")
-    if arguments.output_dir is None and (arguments.format != "fits" or arguments.planets):
+    if arguments.output_dir is not None:
+        many = {"format": arguments.format, "hlsp": hlsp or None}
+        many["planets"] = _batch.planets_of(arguments, planet)
+        return many | _batch.given(arguments, "positions_from")
+    if arguments.format != "fits" or arguments.planets:
         raise ValueError("--format and --planets need an --output-dir")
-    many = {"format": arguments.format, "hlsp": hlsp or None}
-    if arguments.planets is not None:
-        from scope_models.io._opening import read_table
-
-        many["planets"] = read_table(arguments.planets)
-    elif planet:
-        many["planets"] = {name: [value] for name, value in planet.items()}
     one = {"transits": planet or None}
     if arguments.positions_from is not None:
-        many["positions_from"] = arguments.positions_from
-        if arguments.output_dir is None:
-            one["positions"] = sm.Motion.from_tpfs(arguments.positions_from)
-    return many, one
+        one["positions"] = sm.Motion.from_tpfs(arguments.positions_from)
+    return one
 
 
 def _detrend(arguments, path, **options):

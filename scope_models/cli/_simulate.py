@@ -138,9 +138,7 @@ def _run_table(arguments):
         if name not in _OF_TABLES and value != arguments.parser.get_default(name):
             raise ValueError(f"--{name.replace('_', '-')} cannot be combined with --table")
     table = read_table(arguments.table)
-    options = {"detector": arguments.detector, "motion": arguments.motion or ""}
-    options["cadences"] = arguments.cadences or _CADENCES
-    options["seed"] = 1 if arguments.seed is None else arguments.seed
+    options = _batch.given(arguments, "detector", "motion", "cadences", "seed")
     return _batch.run(sm.batch.simulate_table, arguments, table, **options)
 
 
