@@ -115,11 +115,10 @@ def _summary(table):
     names = [n for n in table.colnames if table[n].dtype.kind in "fi" and n not in left_out]
     bins = np.round(2 * values_of(table, "mag")) / 2
     rows = []
-    for center in (*np.unique(bins[np.isfinite(bins)]), np.nan):
+    for center in np.unique(bins):  # NaN, of unknown magnitudes, is the last
         chosen = np.isnan(bins) if np.isnan(center) else bins == center
-        if chosen.any():
-            first = {"mag": center, "stars": int(chosen.sum())}
-            rows.append(first | medians(table[chosen], names))
+        first = {"mag": center, "stars": int(chosen.sum())}
+        rows.append(first | medians(table[chosen], names))
     return Table(rows)
 
 
