@@ -9,7 +9,7 @@ from astropy.time import Time, TimeDelta
 
 __all__ = [
     "DIGITAL", "LARGEST_DAY", "PER_PIXEL", "TIME_ZEROS", "is_angle", "native", "plain_array",
-    "plain_number", "plain_time", "plain_tree", "unmasked", "values_of", "without_unit",
+    "plain_number", "plain_time", "plain_tree", "values_of", "without_unit",
 ]  # fmt: skip
 
 #: Barycentric Julian date (TDB) of the zero of each time format.
@@ -30,7 +30,7 @@ def native(array):
     return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
-def unmasked(value):
+def _unmasked(value):
     """Return an array with its unit, without its mask, as floats with NaN where it was masked."""
     mask = getattr(value, "mask", None)
     if mask is None or callable(mask):  # a method of pandas' series
@@ -55,7 +55,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
-    value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
+    value = value.to(u.day) if isinstance(value, TimeDelta) else _unmasked(value)
     if _holds_quantities(value):
         try:
             value = _joined(value)

@@ -14,7 +14,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS, FITSFixedWarning
 
-from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
+from scope_models._arrays import plain_array, plain_time, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
 from scope_models.io import _opening
@@ -417,8 +417,8 @@ def star_places(name, places, series):
         given = {f"{name}[{key!r}]": places[columns[key]] for key in "xy"}
         places = np.column_stack([plain_array(v, u.pixel, key) for key, v in given.items()])
     elif {"ra", "dec"} <= set(columns):
-        ra, dec = (unmasked(places[columns[k]]) for k in ("ra", "dec"))
-        places = SkyCoord(*(plain_array(v, u.deg, name) for v in (ra, dec)), unit=u.deg)
+        ra, dec = (plain_array(places[columns[key]], u.deg, name) for key in ("ra", "dec"))
+        places = SkyCoord(ra, dec, unit=u.deg)
     elif columns:
         raise ValueError(f"`{name}` must have the columns x and y, or ra and dec")
     if isinstance(places, SkyCoord):

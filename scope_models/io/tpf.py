@@ -159,9 +159,8 @@ class TPFMetadata(Value):
         if self.n_readouts is not None and self.n_readouts > self.n_frames:
             given = f"{self.n_readouts} of {self.n_frames}"
             raise ValueError(f"`n_readouts` must not exceed `n_frames`, got {given}")
-        name = "" if self.object_name is None else self.object_name
-        if not isinstance(name, str) or not name.isascii():
-            raise TypeError(f"`object_name` must be ASCII text, got {name!r}")
+        if not isinstance(self.name, str) or not self.name.isascii():
+            raise TypeError(f"`object_name` must be ASCII text, got {self.name!r}")
         if self.date is not None and not isinstance(self.date, dt.date):
             raise TypeError(f"`date` must be a datetime.date, got {self.date!r}")
         if not isinstance(self.extra_cards, Mapping):
