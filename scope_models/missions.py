@@ -11,8 +11,7 @@ from scope_models._values import Value
 
 __all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
 
-# A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
-_CADENCE_TOLERANCE = 0.03
+_CADENCE_TOLERANCE = 0.03  # relative: a Kepler long cadence is called 30 minutes
 
 
 @dataclass(frozen=True)

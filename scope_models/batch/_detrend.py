@@ -28,10 +28,9 @@ __all__ = [
 ]  # fmt: skip
 
 FORMATS = "fits", "hlsp", "parquet"
-# Files of a CCD whose POS_CORR give the motion of its other stars: a limit of time.
-_MOST = 12
-# Folder of the motions, and stars at least that outvote another one.
-_FOLDER, _MAJORITY = "positions", 3
+_MOST = 12  # files of a CCD whose POS_CORR give the motion of its other stars: a limit of time
+_MAJORITY = 3  # stars at least that outvote another one
+_FOLDER = "positions"  # of the motions
 # All cards would take longer, for all files of a run before the first is corrected.
 _KEYWORDS = (
     "MISSION", "TELESCOP", "OBJECT", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD",

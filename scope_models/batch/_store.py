@@ -17,8 +17,7 @@ __all__ = ["FILE", "Store", "listed", "read_records"]
 #: Name of the file in a results directory.
 FILE = "results.sqlite"
 _OUTPUTS = ("results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png")
-# Seconds of work that a power failure may cost.
-_SYNC_INTERVAL = 5.0
+_SYNC_INTERVAL = 5.0  # seconds of work that a power failure may cost
 _LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 _SCHEMA = """
     CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
@@ -39,13 +38,12 @@ class Store:
         with self._clear_errors():
             self._connection = sqlite3.connect(self._path, timeout=0, isolation_level=None)
             self._connection.text_factory = bytes  # damaged text may not be UTF-8
-        try:
-            with self._clear_errors():
+            try:
                 self._begin(config, inputs)
                 self._load({task["key"]: task for task in tasks})
-        except BaseException:
-            self.close()
-            raise
+            except BaseException:
+                self.close()
+                raise
 
     def _begin(self, config, inputs):
         """Lock the file, and check that it belongs to the same configuration and inputs."""

@@ -22,8 +22,7 @@ __all__ = ["LostWorkersError", "check_client", "checked_tasks", "computed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
-# Seconds between two checks of the connection to a scheduler.
-_POLL = 5.0
+_POLL = 5.0  # seconds between two checks of the connection to a scheduler
 _ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
 _WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
 

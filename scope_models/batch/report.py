@@ -38,8 +38,7 @@ _CONVENTION = (
     "Noise is the 6.5-h CDPP in EVEREST's convention: median of the scatter in windows of 13 "
     "cadences over the root of 13, after a Savitzky-Golay trend of 49 cadences."
 )
-# Stars in a list: as many as one looks at; the table of results has all.
-_OUTLIERS = 8
+_OUTLIERS = 8  # as many as one looks at; the table of results has all
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }

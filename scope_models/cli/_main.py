@@ -13,8 +13,7 @@ from scope_models.cli import _batch, _demo, _files, _results, _simulate
 
 __all__ = ["main"]
 
-# A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
-# of `run`. The next one is added here.
+# A command is a module with `add_parser(commands)`, which sets `run(arguments)` as a default.
 _COMMANDS = (_demo, _simulate, _files, _results)
 _TERMINATED = "by SIGTERM"
 
