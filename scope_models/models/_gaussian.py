@@ -15,10 +15,6 @@ integrates in closed form along each axis. With rho = 0 the first term is all. B
 ``dh_k/dz = -sqrt(k + 1) h_{k+1}``, derivatives with respect to position and width are integrals
 of the same family. Where ``|rho|`` is so large that the series is long, a Gauss-Legendre rule along
 x, whose node count follows from the width of the density, of closed forms along y takes its place.
-
-The integrals along an axis are entire functions of the position. For many positions of one
-density they are evaluated at Chebyshev nodes and interpolated, with as many nodes as bring the
-last coefficients below the rounding error.
 """
 
 import numpy as np
@@ -26,8 +22,8 @@ import numpy as np
 from scope_models.models._axis import axis_direct, axis_table, gauss_legendre, gaussian_nodes
 
 __all__ = [
-    "REACH", "contract", "flattened", "gaussian_derivatives", "gaussian_pixels", "moved",
-    "n_terms", "series_step", "uses_series", "widened",
+    "REACH", "contract", "flattened", "gaussian_pixels", "moved", "n_terms", "series_step",
+    "uses_series", "widened",
 ]  # fmt: skip
 
 # The series is cut where the rest is below this part of the total flux.
@@ -189,11 +185,19 @@ def flattened(parameters):
     return shape, [p.reshape(-1) for p in places + others]
 
 
-def _evaluate(x, y, parameters, coefficients, n_images):
-    """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
-    shape, flat = flattened(parameters)
+def gaussian_pixels(
+    x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,), *, derivatives=False
+):
+    """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
+
+    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
+    and ``along_y`` the coefficients of the polynomials in u and v, the constants first. With
+    ``derivatives`` those by x_0, y_0, sigma_x, sigma_y and rho follow: ``(6, ..., ny, nx)``. The
+    cheaper of two engines, series and line rule, renders the pixels within reach.
+    """
+    shape, flat = flattened((x_0, y_0, sigma_x, sigma_y, rho))
     n = flat[0].size
-    coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
+    coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in (along_x, along_y)]
     degree = max(c.size for c in coefficients) - 1
     singular = np.abs(flat[4]) >= 1
     flat[4] = np.where(singular, 0.0, flat[4])
@@ -202,7 +206,7 @@ def _evaluate(x, y, parameters, coefficients, n_images):
     if not series:
         n_nodes = x.size * y.size * _line_nodes(flat[2], flat[4], degree)[0].size
         step = max(1, _LINE_CHUNK // n_nodes)
-    images = np.zeros((n_images, n, y.size, x.size))
+    images = np.zeros((6 if derivatives else 1, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         values = [p if p.size == 1 else p[part] for p in flat]
@@ -213,21 +217,5 @@ def _evaluate(x, y, parameters, coefficients, n_images):
             images_of = _series_images if series else _line_images
             images_of(x[columns], y[rows], values, coefficients, out)
     images[:, np.broadcast_to(singular, n)] = np.nan
-    return images.reshape(n_images, *shape, y.size, x.size)
-
-
-def gaussian_pixels(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
-    """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
-
-    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
-    and ``along_y`` the coefficients of the polynomials in u and v, the constants first.
-    """
-    return _evaluate(x, y, (x_0, y_0, sigma_x, sigma_y, rho), (along_x, along_y), 1)[0]
-
-
-def gaussian_derivatives(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
-    """The integrals of `gaussian_pixels`, and derivatives: ``(6, ..., ny, nx)``.
-
-    The derivatives are by x_0, y_0, sigma_x, sigma_y and rho.
-    """
-    return _evaluate(x, y, (x_0, y_0, sigma_x, sigma_y, rho), (along_x, along_y), 6)
+    images = images.reshape(len(images), *shape, y.size, x.size)
+    return images if derivatives else images[0]

@@ -36,15 +36,14 @@ class ClosedForm:
     """Integral of a density over pixels without quadrature.
 
     A model has one by a method ``closed_form(values)``; so have the Gaussians of astropy and
-    photutils. ``pixels(x, y, *parameters, along_x, along_y)``, with columns, rows and
-    the polynomial response along the axes, returns images ``(..., ny, nx)`` of unit flux;
-    ``derivatives`` the same and those by ``names`` on a new first axis.
+    photutils. ``pixels(x, y, *parameters, along_x, along_y)``, with columns, rows and the
+    polynomial response along the axes, returns images ``(..., ny, nx)`` of unit flux; with
+    ``derivatives=True`` the same and those by ``names``, if there are any, on a new first axis.
     """
 
     flux: object  # integral over the plane
     parameters: tuple  # numbers or arrays in pixels, x_0 and y_0 first
     pixels: object
-    derivatives: object = None
     names: tuple = ()  # parameters of the model
 
 
@@ -81,8 +80,10 @@ def _diffused(form, variance):
     narrowed = sigma_x * sigma_y / (wide * tall)
     parameters = (x_0, y_0, wide, tall, rho * narrowed)
 
-    def derivatives(*arguments):
-        image, by_x, by_y, by_wide, by_tall, by_tilt = form.derivatives(*arguments)
+    def pixels(*arguments, derivatives=False):
+        if not derivatives:
+            return form.pixels(*arguments)
+        image, by_x, by_y, by_wide, by_tall, by_tilt = form.pixels(*arguments, derivatives=True)
         tilt = rho * narrowed
         by_sigma_x = by_wide * sigma_x / wide + by_tilt * tilt * (1 / sigma_x - sigma_x / wide**2)
         by_sigma_y = by_tall * sigma_y / tall + by_tilt * tilt * (1 / sigma_y - sigma_y / tall**2)
@@ -90,8 +91,7 @@ def _diffused(form, variance):
         parts = [image, by_x, by_y, by_sigma_x, by_sigma_y, by_tilt * narrowed, by_variance / 2]
         return np.stack(np.broadcast_arrays(*parts))
 
-    derivatives = form.derivatives and derivatives
-    return ClosedForm(form.flux, parameters, form.pixels, derivatives, (*form.names, "variance"))
+    return ClosedForm(form.flux, parameters, pixels, form.names and (*form.names, "variance"))
 
 
 def pixels_of(value):

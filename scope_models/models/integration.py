@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 
 import numpy as np
@@ -84,13 +84,14 @@ class PixelPoints:
             return images.reshape((*images.shape[:-1], *self.shape))
         return images.reshape((*images.shape[:-2], *self.shape))
 
-    def apply(self, engine, parameters, polynomials):
-        """Apply what integrates over a grid, of a `ClosedForm`: ``(..., *shape)``."""
+    def apply(self, form, polynomials, **options):
+        """Apply a `ClosedForm` with the options of its integrals: ``(..., *shape)``."""
+        engine = partial(form.pixels, **options)
         if self.on_grid:
-            return self.gather(engine(self.columns, self.rows, *parameters, *polynomials))
+            return self.gather(engine(self.columns, self.rows, *form.parameters, *polynomials))
         # One pixel at the origin, with the star where it is as seen from each point.
-        lead = np.broadcast_shapes(*map(np.shape, parameters))
-        x_0, y_0, *others = (np.broadcast_to(p, lead)[..., np.newaxis] for p in parameters)
+        lead = np.broadcast_shapes(*map(np.shape, form.parameters))
+        x_0, y_0, *others = (np.broadcast_to(p, lead)[..., np.newaxis] for p in form.parameters)
         origin = np.zeros(1)
         seen = x_0 - self.x, y_0 - self.y
         images = engine(origin, origin, *seen, *others, *polynomials)[..., 0, 0]
@@ -158,7 +159,7 @@ def integrate_term(term, points, method="auto"):
         return _spread(term.scale, points) * _already_integrated(term, points)
     form = None if method == "quadrature" else term.closed_form()
     if form is not None:
-        images = points.apply(form.pixels, form.parameters, term.polynomials())
+        images = points.apply(form, term.polynomials())
         factor = _spread(term.scale * form.flux, points)
         fits = np.broadcast_shapes(images.shape, np.shape(factor)) == images.shape
         in_place = fits and not isinstance(factor, u.Quantity)

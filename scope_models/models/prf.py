@@ -90,10 +90,10 @@ class _Component:
     def derivatives(self, points, values):
         """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
         term = self.term(values)
-        along, form = term.polynomials(), term.closed_form()
-        if form is not None and form.derivatives is not None:
+        form = term.closed_form()
+        if form is not None and form.names:
             names = form.names  # ending in the variance of the diffusion, if there is any
-            image, *parts = points.apply(form.derivatives, form.parameters, along)
+            image, *parts = points.apply(form, term.polynomials(), derivatives=True)
         elif hasattr(self.model, "unit_derivatives"):
             names = self.model.param_names[1:]
             at = self.own_values(values)

@@ -1,6 +1,6 @@
 """Point spread functions: the light of a star before the pixel, as densities."""
 
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 from typing import ClassVar
 
@@ -123,8 +123,7 @@ class BivariateGaussianPSF(StarModel):
         """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
-        engines = _gaussian.gaussian_pixels, _gaussian.gaussian_derivatives
-        return ClosedForm(values["flux"], parameters, *engines, (*names, "rho"))
+        return ClosedForm(values["flux"], parameters, _gaussian.gaussian_pixels, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
@@ -284,38 +283,35 @@ class GaussHermitePSF(StarModel):
         unit, *parts = (np.sum(a * b, axis=0).reshape(z[0].shape) for a, b in pairs)
         return [unit, *(flux * part for part in parts)]
 
-    def _engine(self, coefficients, *, derivatives=False):
-        """Return the integrator of the density of unit flux and, if wanted, its derivatives."""
-        matrix, places = self._matrix(coefficients), self._places
-
-        def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
-            shape, (x_0, y_0, *widths) = _gaussian.flattened((x_0, y_0, sigma_x, sigma_y))
-            images = np.empty((5 + len(places) if derivatives else 1, x_0.size, y.size, x.size))
-            n = self.order + (3 if derivatives else 1)
-            x_axis = axis_table(x, x_0, widths[0], np.atleast_1d(along_x), n)
-            y_axis = axis_table(y, y_0, widths[1], np.atleast_1d(along_y), n)
-            for start in range(0, x_0.size, _BATCH):
-                part = slice(start, start + _BATCH)
-                x_table, y_table = x_axis(part), y_axis(part)
-                if derivatives:
-                    wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
-                    pairs = _pairs(x_table, y_table, *wide, matrix, places)
-                else:
-                    pairs = [(matrix.T @ y_table, x_table)]
-                for pair, image in zip(pairs, images, strict=True):
-                    _gaussian.contract(*pair, image[part])
-            images = images.reshape((len(images), *shape, y.size, x.size))
-            return images if derivatives else images[0]
-
-        return engine
+    def _integrals(
+        self, matrix, x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y, *, derivatives=False
+    ):
+        """Integrate the density of unit flux, and its derivatives, over pixels."""
+        shape, (x_0, y_0, *widths) = _gaussian.flattened((x_0, y_0, sigma_x, sigma_y))
+        n_images = len(self.param_names) if derivatives else 1
+        images = np.empty((n_images, x_0.size, y.size, x.size))
+        n = self.order + (3 if derivatives else 1)
+        x_axis = axis_table(x, x_0, widths[0], np.atleast_1d(along_x), n)
+        y_axis = axis_table(y, y_0, widths[1], np.atleast_1d(along_y), n)
+        for start in range(0, x_0.size, _BATCH):
+            part = slice(start, start + _BATCH)
+            x_table, y_table = x_axis(part), y_axis(part)
+            if derivatives:
+                wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
+                pairs = _pairs(x_table, y_table, *wide, matrix, self._places)
+            else:
+                pairs = [(matrix.T @ y_table, x_table)]
+            for pair, image in zip(pairs, images, strict=True):
+                _gaussian.contract(*pair, image[part])
+        images = images.reshape((n_images, *shape, y.size, x.size))
+        return images if derivatives else images[0]
 
     def closed_form(self, values):
         """Return the integrals over pixels in closed form, for `integrate_pixels`."""
-        flux, *parameters = (values[name] for name in self.param_names[:5])
-        parameters = tuple(pixels_of(p) for p in parameters)
-        coefficients = [values[name] for name in self.param_names[5:]]
-        engines = (self._engine(coefficients, derivatives=which) for which in (False, True))
-        return ClosedForm(flux, parameters, *engines, self.param_names[1:])
+        parameters = tuple(pixels_of(values[name]) for name in self.param_names[1:5])
+        matrix = self._matrix([values[name] for name in self.param_names[5:]])
+        integrals = partial(self._integrals, matrix)
+        return ClosedForm(values["flux"], parameters, integrals, self.param_names[1:])
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""

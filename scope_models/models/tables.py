@@ -1,6 +1,6 @@
 """Tabulated PSFs and PRFs, which splines interpolate and integrate, and corrections of them."""
 
-from functools import cached_property, partial
+from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
@@ -270,10 +270,9 @@ class TabulatedPSF(_Table):
 
     def closed_form(self, values):
         """Return the integrals over pixels, exact for the spline, for `integrate_pixels`."""
-        integrals, names = self._surface.integrals, ("x_0", "y_0")
+        names = ("x_0", "y_0")
         place = tuple(pixels_of(values[name]) for name in names)
-        derivatives = partial(integrals, derivatives=True)
-        return ClosedForm(values["flux"], place, integrals, derivatives, names)
+        return ClosedForm(values["flux"], place, self._surface.integrals, names)
 
 
 @documented(rest=_REST)
