@@ -247,7 +247,6 @@ class GaussHermitePSF(StarModel):
         for name in given:
             if np.ndim(kwargs[name]):
                 raise ValueError(f"`{name}` must be one number, got {np.size(kwargs[name])} values")
-        kwargs = dict.fromkeys(self.param_names[5:], 0.0) | kwargs
         super().__init__(flux, x_0, y_0, sigma_x, sigma_y, **kwargs)
 
     @property

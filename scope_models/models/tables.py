@@ -431,7 +431,6 @@ class CorrectedPRF(TabulatedPRF):
         self.order = order = checked_integer("order", order, 1)
         self.radius = checked_number("radius", radius, "pix", positive=True)
         self._places = make_coefficients(self, order, "T")
-        kwargs = dict.fromkeys(self.param_names[3:], 0.0) | kwargs
         super().__init__(array, oversampling, flux, x_0, y_0, **kwargs)
         along_x, along_y = (chebyshev.chebvander(self._t(d)[0], order) for d in self._offsets())
         means = along_y.T @ self.array @ along_x / self.array.sum()
@@ -497,6 +496,6 @@ class CorrectedPRF(TabulatedPRF):
             With the correction in its samples.
         """
         dx, dy = self._offsets()
-        samples = self.unit_derivatives(dx, dy[:, np.newaxis], *self.parameters[3:])[0]
-        values = (getattr(self, name).value for name in ("flux", "x_0", "y_0"))
+        values, coefficients = self.parameters[:3], self.parameters[3:]
+        samples = self.unit_derivatives(dx, dy[:, np.newaxis], *coefficients)[0]
         return TabulatedPRF(samples, self.oversampling, *values, origin=self.origin)
