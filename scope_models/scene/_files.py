@@ -36,7 +36,7 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_effect", "describe_scene", "make_effect", "read_detector", "read_motion",
+    "describe_effect", "describe_scene", "make_effect", "read_detector", "read_object",
     "read_scene", "scene_columns", "write_object",
 ]  # fmt: skip
 
@@ -140,7 +140,7 @@ def read_detector(path):
         raise ValueError(f"{path}: {error}") from error
 
 
-def read_motion(path):
+def _read_motion(path):
     if _is_fits(path):
         truth = read_truth(path)
         return _made(path, truth.scene, "motion", lambda: _motion(truth))
@@ -157,6 +157,13 @@ def read_motion(path):
 def _is_fits(path):
     with Path(path).open("rb") as stream:
         return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
+
+
+def read_object(kind, path):
+    """Return the scene, the detector or the motion, a class, of a file."""
+    if issubclass(kind, Scene):
+        return read_scene(path)
+    return read_detector(path) if issubclass(kind, Detector) else _read_motion(path)
 
 
 def write_object(value, path, *, overwrite):

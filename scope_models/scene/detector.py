@@ -17,7 +17,7 @@ from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, choose_cadence, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import model_in_pixels
-from scope_models.scene import _writing, presets
+from scope_models.scene import _storage, presets
 
 if TYPE_CHECKING:
     from astropy.modeling import Model
@@ -626,25 +626,7 @@ class Detector(Value):
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
-    write = _writing.write
-
-    @staticmethod
-    def read(path):
-        """Read a detector from a file: `~scope_models.read_detector`.
-
-        Parameters
-        ----------
-        path : str or path-like
-            A file of `write`, or a TOML file of your own.
-
-        Returns
-        -------
-        Detector
-            The detector.
-        """
-        from scope_models.scene._files import read_detector
-
-        return read_detector(path)
+    read, write = classmethod(_storage.read), _storage.write
 
     def without_sensitivity(self):
         """Return the same detector with pixels that all respond alike, and evenly within.

@@ -16,7 +16,7 @@ from scope_models._values import Value, frozen, html_table
 from scope_models.io._opening import read_positions
 from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
-from scope_models.scene import _motion_arrays, _writing
+from scope_models.scene import _motion_arrays, _storage
 from scope_models.scene._motion_arrays import MotionStatistics
 from scope_models.scene._pointing import (
     FailingWheels,
@@ -715,39 +715,7 @@ class Motion(Value):
         label = {"time_label": f"Time ({self.time_format.upper()})"}
         return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
 
-    write = _writing.write
-
-    @classmethod
-    def read(cls, path):
-        """Read a motion.
-
-        Parameters
-        ----------
-        path : str or path-like
-            A FITS file of `write`, or of a scene or an observation; or a table in ECSV with time,
-            x, y, quality and cadenceno, whose units convert, and with time_format in its header.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be opened.
-        ValueError
-            If it holds no motion.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> Motion.read(Motion.still(3).write("still.fits")).x
-        array([0., 0., 0.])
-        """
-        from scope_models.scene._files import read_motion
-
-        return read_motion(path)
+    read, write = classmethod(_storage.read), _storage.write
 
     def statistics(self, pixel_scale=MISSIONS["K2"].pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
