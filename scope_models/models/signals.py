@@ -36,11 +36,10 @@ class TransitModel(Fittable1DModel):
     r"""Relative flux of a star that a planet transits.
 
     The star is a disc with quadratic limb darkening,
-    :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque
-    disc on a Keplerian orbit. The drop is the exact integral over the overlap of the discs
-    (exoplanet-core, Agol et al. 2020 [1]_), averaged over the exposure by Gauss-Legendre quadrature
-    with 101 nodes: the average is within 1 ppm of the exact one for drops up to 2.5 % and exposures
-    up to an hour.
+    :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque disc on a Keplerian
+    orbit. The drop is the exact integral over the overlap of the discs (exoplanet-core, Agol et al.
+    2020 [1]_), averaged over the exposure by Gauss-Legendre quadrature with 101 nodes: the average
+    is within 1 ppm of the exact one for drops up to 2.5 % and exposures up to an hour.
 
     Parameters
     ----------
@@ -142,8 +141,8 @@ class TransitModel(Fittable1DModel):
         Parameters
         ----------
         depth : float or `~astropy.units.Quantity`
-            Relative drop at mid-transit with limb darkening and for a short
-            exposure, between 0 and 1.
+            Relative drop at mid-transit with limb darkening and for a short exposure, between 0
+            and 1.
         duration, period : float or `~astropy.units.Quantity`
             Time from first to fourth contact, and orbital period, in days.
         t0 : float or `~astropy.units.Quantity`, optional
@@ -193,9 +192,8 @@ class TransitModel(Fittable1DModel):
     ):  # fmt: skip
         r"""Make a transit from `a` or the star's density, and `inc` or `b`.
 
-        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, and
-        the impact parameter the inclination by
-        :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
+        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, and the impact parameter the
+        inclination by :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
 
         Parameters
         ----------
