@@ -54,17 +54,16 @@ def checked_number(
     return value
 
 
-def number(default=MISSING, unit="", *, kw_only=MISSING, **options):
+def number(default=MISSING, unit="", **options):
     """Return a field of a dataclass, a number or a pair, that `check_fields` brings to its unit."""
     check = checked_pair if isinstance(default, tuple) else checked_number
-    metadata = {"check": check, "unit": unit, **options}
-    return field(default=default, kw_only=kw_only, metadata=metadata)
+    return field(default=default, metadata={"check": check, "unit": unit, **options})
 
 
-def integer(default, smallest, largest=None, *, kw_only=MISSING):
+def integer(default, smallest, largest=None):
     """Return a field of a dataclass, an integer, that `check_fields` checks."""
     metadata = {"check": checked_integer, "smallest": smallest, "largest": largest}
-    return field(default=default, kw_only=kw_only, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 def check_fields(instance):

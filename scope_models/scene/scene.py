@@ -1,7 +1,7 @@
 """Scenes: all that a simulation starts from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from types import MappingProxyType
 
@@ -96,19 +96,20 @@ class Scene(Value):
     stars: tuple[Star, ...]
     detector: Detector
     motion: Motion
-    seed: int | None = field(default=None, kw_only=True)
-    noise: frozenset = field(default=True, kw_only=True)
-    n_sub: int = integer(1, 1, kw_only=True)
-    effects: tuple[Effect, ...] = field(default=(), kw_only=True)
-    target_id: int | None = integer(None, 1, kw_only=True)
-    object_name: str | None = field(default=None, kw_only=True)
-    ra: float | None = number(None, "deg", any_sign=True, kw_only=True)
-    dec: float | None = number(None, "deg", any_sign=True, at_most=90, kw_only=True)
-    orientation: float | None = number(None, "deg", any_sign=True, kw_only=True)
-    matrix: tuple[float, float, float, float] | None = field(default=None, kw_only=True)
-    column: int | None = integer(None, 0, kw_only=True)
-    row: int | None = integer(None, 0, kw_only=True)
-    metadata: Mapping = field(default_factory=dict, kw_only=True)
+    _: KW_ONLY
+    seed: int | None = None
+    noise: frozenset = True
+    n_sub: int = integer(1, 1)
+    effects: tuple[Effect, ...] = ()
+    target_id: int | None = integer(None, 1)
+    object_name: str | None = None
+    ra: float | None = number(None, "deg", any_sign=True)
+    dec: float | None = number(None, "deg", any_sign=True, at_most=90)
+    orientation: float | None = number(None, "deg", any_sign=True)
+    matrix: tuple[float, float, float, float] | None = None
+    column: int | None = integer(None, 0)
+    row: int | None = integer(None, 0)
+    metadata: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
         put = partial(object.__setattr__, self)
