@@ -1,7 +1,7 @@
 """Scenes, detectors and motions as FITS files of arrays and JSON; detectors as TOML by hand."""
 
 import tomllib
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import reduce
 from operator import add, mul
@@ -75,15 +75,12 @@ def read_scene(path):
     True
     """
     truth = read_truth(path)
-
-    def scene():
-        described = truth.scene
+    described = truth.scene
+    with _making(path, described, "scene"):
         detector = _detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
         effects = [make_effect(effect) for effect in described["effects"]]
         return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
-
-    return _made(path, truth.scene, "scene", scene)
 
 
 def read_detector(path):
@@ -133,7 +130,8 @@ def read_detector(path):
     if _is_fits(path):
         with open_fits(path) as hdus:
             described, maps = scene_of(hdus), maps_of(hdus)
-        return _made(path, described, "detector", lambda: _detector(described["detector"], maps))
+        with _making(path, described, "detector"):
+            return _detector(described["detector"], maps)
     try:
         return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8-sig")))
     except (TypeError, ValueError, RecursionError) as error:
@@ -143,7 +141,8 @@ def read_detector(path):
 def _read_motion(path):
     if _is_fits(path):
         truth = read_truth(path)
-        return _made(path, truth.scene, "motion", lambda: _motion(truth))
+        with _making(path, truth.scene, "motion"):
+            return _motion(truth)
     try:
         text = Path(path).read_text(encoding="utf-8")
         table = QTable.read(text.splitlines(), format="ascii.ecsv")
@@ -188,8 +187,9 @@ def _maps(detector):
     return {} if detector.interpixel is None else {"INTERPIXEL": detector.interpixel}
 
 
-def _made(path, described, what, make):
-    """Return the object that a file describes; errors are ValueErrors that name the file."""
+@contextmanager
+def _making(path, described, what):
+    """Raise errors of the object that a file describes as ValueErrors that name the file."""
     if not described:
         raise ValueError(f"{path} holds no {what}")
     version = described.get("version")
@@ -198,7 +198,7 @@ def _made(path, described, what, make):
     if version > _VERSION:
         raise ValueError(f"{path} holds a {what} of a later version of this package")
     with making(path, what):
-        return make()
+        yield
 
 
 def _motion(truth):
