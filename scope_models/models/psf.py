@@ -16,12 +16,18 @@ from scope_models.models._terms import ClosedForm, one_number, pixels_of
 
 __all__ = ["BivariateGaussianPSF", "GaussHermitePSF", "moffat_psf"]
 
-_WIDTH = {"default": 0.5, "bounds": (float(np.finfo(np.float32).tiny), None)}
+_LEAST_WIDTH = float(np.finfo(np.float32).tiny)
 _RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
 # Components of a Moffat PSF with less of its flux are left out.
 _LEAST_FRACTION = 1e-5
 # Positions whose tables fit into the processor's cache together.
 _BATCH = 512
+
+
+def _width(axis):
+    text, bounds = f"Standard deviation along {axis} (pixel)", (_LEAST_WIDTH, None)
+    parameter = Parameter(default=0.5, bounds=bounds, description=text)
+    return parameter.validator(Domain(f"sigma_{axis}", "positive"))
 
 
 class BivariateGaussianPSF(StarModel):
@@ -75,11 +81,8 @@ class BivariateGaussianPSF(StarModel):
     812.2
     """
 
-    sigma_x = Parameter(description="Standard deviation along x (pixel)", **_WIDTH)
-    sigma_y = Parameter(description="Standard deviation along y (pixel)", **_WIDTH)
+    sigma_x, sigma_y = _width("x"), _width("y")
     rho = Parameter(description="Correlation coefficient", default=0.0, bounds=_RHO)
-    sigma_x.validator(Domain("sigma_x", "positive"))
-    sigma_y.validator(Domain("sigma_y", "positive"))
     rho.validator(Domain("rho", "from -1 to 1"))
 
     #: Kinds of the parameters in a fit.
@@ -229,10 +232,7 @@ class GaussHermitePSF(StarModel):
     [12.11 35.44 11.24]
     """
 
-    sigma_x = BivariateGaussianPSF.sigma_x.copy()
-    sigma_y = BivariateGaussianPSF.sigma_y.copy()
-    sigma_x.validator(Domain("sigma_x", "positive"))
-    sigma_y.validator(Domain("sigma_y", "positive"))
+    sigma_x, sigma_y = _width("x"), _width("y")
 
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
