@@ -39,11 +39,6 @@ class _Response:
         """Axis and power by parameter of the PRF."""
         return {self.names[own]: place for own, place in self.model.powers.items()}
 
-    @property
-    def diffusion(self):
-        """Parameters of the PRF that are widths of a diffusion (list of str)."""
-        return [source for own, source in self.names.items() if own == "sigma_d"]
-
 
 @dataclass(frozen=True, eq=False)
 class _Component:
@@ -108,7 +103,7 @@ class _Component:
         own = dict(zip((self.shape.get(n, n) for n in names), parts, strict=True))
         by_variance = own.pop("variance", None)
         for response in self.responses:
-            for name in response.diffusion:
+            if name := response.names.get("sigma_d"):
                 if not values[name]:
                     own[name] = np.zeros_like(image)
                 elif by_variance is None:
@@ -344,8 +339,8 @@ class PRF(StarModel):
         for component in self._components:
             kinds |= component.kinds
         for response in self._responses:
-            kinds |= dict.fromkeys(response.powers, "response")
-            kinds |= dict.fromkeys(response.diffusion, "diffusion")
+            kind = "diffusion" if "sigma_d" in response.names else "response"
+            kinds |= dict.fromkeys(response.names.values(), kind)
         return kinds
 
     @property
