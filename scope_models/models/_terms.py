@@ -130,9 +130,7 @@ class Factor:
             parameter = getattr(model, name)
             if name != "theta" and is_angle(parameter.unit):
                 plain_array(parameter.quantity, u.pix, name)  # refuses angles by name
-            values[name] = np.asarray(parameter.value)
-            if parameter.unit is not None:
-                values[name] = values[name] * parameter.unit
+            values[name] = value_of(parameter)
         return cls(model, values)
 
     @property

@@ -25,8 +25,9 @@ _BATCH = 512
 
 
 def _width(axis):
-    text, bounds = f"Standard deviation along {axis} (pixel)", (_LEAST_WIDTH, None)
-    parameter = Parameter(default=0.5, bounds=bounds, description=text)
+    """Return the parameter of a width."""
+    text = f"Standard deviation along {axis} (pixel)"
+    parameter = Parameter(default=0.5, bounds=(_LEAST_WIDTH, None), description=text)
     return parameter.validator(Domain(f"sigma_{axis}", "positive"))
 
 

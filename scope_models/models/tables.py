@@ -455,11 +455,9 @@ class CorrectedPRF(TabulatedPRF):
         """Return fluxes of unit flux and derivatives by x_0, y_0 and coefficients, at offsets."""
         dx, dy = np.broadcast_arrays(plain_array(dx, "pix", "dx"), plain_array(dy, "pix", "dy"))
         table, table_x, table_y = super().unit_derivatives(dx, dy)
-        (t_x, slope_x), (t_y, slope_y) = self._t(dx), self._t(dy)
-        values, slopes = [], []
-        for t, slope in ((t_x, slope_x), (t_y, slope_y)):
+        values, slopes, matrix = [], [], chebyshev.chebder(np.eye(self.order + 1))
+        for t, slope in map(self._t, (dx, dy)):
             values.append(chebyshev.chebvander(t, self.order))
-            matrix = chebyshev.chebder(np.eye(self.order + 1))
             lower = chebyshev.chebvander(t, self.order - 1)
             slopes.append((lower @ matrix) * slope[..., np.newaxis])
         factor, factor_x, factor_y, by_coefficient = 1.0, 0.0, 0.0, []
