@@ -114,11 +114,10 @@ class BrighterFatter(Effect):
 
     .. math:: \Delta_{ij} = \frac{k}{2 W} \left(q_i^2 - q_j^2\right) .
 
-    All charge is conserved. The variance of an image grows by
-    :math:`k \sum q^2 / (W \sum q)` along each axis: for a Gaussian star of the standard deviation
-    :math:`\sigma` whose brightest pixel is full, the width grows by about
-    :math:`k / 4 \sigma^2`. In a flat exposure the variance of the pixels grows more slowly than
-    their mean.
+    All charge is conserved. The variance of an image grows by :math:`k \sum q^2 / (W \sum q)` along
+    each axis: for a Gaussian star of the standard deviation :math:`\sigma` whose brightest pixel is
+    full, the width grows by about :math:`k / 4 \sigma^2`. In a flat exposure the variance of the
+    pixels grows more slowly than their mean.
 
     Parameters
     ----------
