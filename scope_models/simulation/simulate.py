@@ -4,6 +4,7 @@ import math
 import os
 import warnings
 from contextlib import contextmanager
+from itertools import chain, count
 
 import numpy as np
 from astropy.table import Table
@@ -255,8 +256,8 @@ def _truth(prepared, lost, share, model):
         lists = {name: Table(dict(table)) for name, table in drawn.tables.items()}
         for found, into in ((drawn.columns, columns), (drawn.maps, maps), (lists, tables)):
             for name, value in found.items():  # with a number after one of its kind
-                number = 1 + sum(f"{name}{suffix}" in into for suffix in ("", "_2", "_3", "_4"))
-                into[name if number == 1 else f"{name}_{number}"] = value
+                names = chain([name], (f"{name}_{number}" for number in count(2)))
+                into[next(each for each in names if each not in into)] = value
     described = describe_scene(scene)
     described["found"] = {"flux": [light.flux for light in lights], "lost_fraction": lost}
     if model is not None:
