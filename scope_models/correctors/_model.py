@@ -298,8 +298,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
     predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
-    measured ones are tried too, unless they may follow the star by more than the noise of 6.5 h,
-    with the light beside it that may be left.
+    they are wrong, and measured ones are taken if they predict these better, unless they may follow
+    the star by more than the noise of 6.5 h, with the light beside it that may be left.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -322,7 +322,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
             if not fitted.solution.noise_is_outlier or seen:
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
-            return other if _gain(other, fitted) > _DECISIVE else fitted
+            return other if _gain(other, fitted) > 0 else fitted
         except ValueError:  # they cannot be fitted
             return fitted
 
