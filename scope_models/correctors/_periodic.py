@@ -22,8 +22,8 @@ _ROUNDS = 20
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
 #: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, and number
-#: of steps, which end with a small one.
-_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.01
+#: of steps, which end with one that is small beside its error.
+_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.5
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -58,16 +58,15 @@ class _Waves:
 
     def settled(self, solution, use):
         """Return it after steps of Gauss and Newton, of frequencies and amplitudes together."""
-        waves, amplitudes, length = self, None, np.ptp(solution.time[use])
+        waves, amplitudes = self, None
         for _ in range(_STEPS):
-            before, (waves, amplitudes) = waves, waves._shifted(solution, use, amplitudes)
-            change = np.abs(waves.frequencies - before.frequencies)
-            if change.max(initial=0) * length < _SMALL_SHIFT:
+            waves, amplitudes, steps = waves._shifted(solution, use, amplitudes)
+            if np.max(steps, initial=0.0) < _SMALL_SHIFT:
                 break
         return waves
 
     def _shifted(self, solution, use, amplitudes):
-        """Return it after one step, and the amplitudes of each cosine and sine."""
+        """Return it after one step, amplitudes of each cosine and sine, and steps over errors."""
         trial, count = solution.with_frequencies(self.frequencies, use), self.count
         k, n = trial.n_regressors, solution.n_trend
         rows = slice(k + n, k + trial.n_trend)
@@ -80,10 +79,13 @@ class _Waves:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
         unit = _SHIFT / np.ptp(trial.data.time) / sizes / np.sqrt(FLAT * trial.data.spread)
-        mean = trial.with_more(slope * unit, use).posterior.mean
-        step = unit * mean[rows.stop : rows.stop + len(unit)]
+        posterior = trial.with_more(slope * unit, use).posterior
+        own = slice(rows.stop, rows.stop + len(unit))
+        step = unit * posterior.mean[own]
         base = self.base + step[0] if count else 0.0
-        return _Waves(self.others + step[int(count > 0) :], base, count), mean[rows]
+        waves = _Waves(self.others + step[int(count > 0) :], base, count)
+        errors = unit * np.sqrt(np.diag(posterior.covariance)[own])
+        return waves, posterior.mean[rows], np.abs(step) / errors
 
     def gains(self, solution, use):
         """Return what each frequency gains beside the others: twice the log-likelihood."""

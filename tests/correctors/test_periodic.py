@@ -6,7 +6,7 @@ import pytest
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._periodic import find_waves, harmonic_columns
+from scope_models.correctors._periodic import _Waves, find_waves, harmonic_columns
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution, fit
 from scope_models.exceptions import DetrendingWarning
@@ -82,6 +82,16 @@ def test_eclipses_are_harmonics_of_one_frequency():
     np.testing.assert_allclose(found[:12], np.arange(1, 13) / period, rtol=1e-4)
     np.testing.assert_allclose(np.diff(found[:12]), found[0], rtol=1e-9)
     assert np.abs(found[12:] - 8.21).min() < 1e-3
+
+
+def test_the_last_step_of_a_series_is_less_than_its_error():
+    """Ingress and egress of an eclipse are so steep that a small error of the period counts."""
+    phase = (TIME / 2.3 + 0.5) % 1 - 0.5
+    y = -0.25 * np.clip(1.3 - np.abs(phase) / 0.02, 0, 1)
+    solution = make_solution(y + np.random.default_rng(5).normal(0, 1e-4, len(TIME)))
+    waves = _Waves(base=1.00002 / 2.3, count=50).settled(solution, solution.use)
+    assert waves._shifted(solution, solution.use, None)[2].max() < 1
+    assert abs(2.3 * waves.base - 1) < 1e-5
 
 
 def test_noise_roll_and_slow_change_have_no_frequencies():
