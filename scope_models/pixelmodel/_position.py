@@ -1,4 +1,4 @@
-"""Functions of a star's position on the pixels, and what a wider PSF changes in them."""
+"""Functions of a star's position on the pixels, and what motion and width change in them."""
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -12,7 +12,7 @@ __all__ = [
     "FEWEST_DARK",
     "REWEIGHTS",
     "Features",
-    "Widening",
+    "Flow",
     "dark_plane",
     "nearness",
     "polynomials",
@@ -74,17 +74,22 @@ class Features:
         return [pivot[:, None] / self._scale**2 * weights for pivot in self._pivots.T]
 
 
+def _at_edge(four):
+    edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
+    return np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
+
+
 def _kernel(a, b, scale):
     square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
     return np.exp(-0.5 * square / scale**2)
 
 
-class Widening:
-    """The change of images of a PSF that widens by a part w, over w.
+class Flow:
+    """What flows through the edges of pixels as the star moves, or as its PSF widens.
 
-    What pixels lose is what flows through their edges. The light there is that of the cubic
-    polynomial whose integrals over the four nearest pixels are right, and in the wings, where that
-    is less, the geometric mean of both pixels. Beside the stamp light falls as at its edge.
+    The light at an edge is that of the cubic polynomial whose integrals over the four nearest
+    pixels are right, and in the wings, where that is less, the geometric mean of both pixels.
+    Beside the stamp light falls as at its edge.
 
     Parameters
     ----------
@@ -100,31 +105,41 @@ class Widening:
         moved = [[grid + i * axis for i in range(-2, 3)] for axis in np.eye(2, dtype=int)]
         self._beside = np.array([[[places.get(tuple(p), -1) for p in m] for m in k] for k in moved])
 
-    def __call__(self, images, center):
-        """Return the change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
-        parts = self._wider(images, center)
-        return np.concatenate(
-            [(wider - light * (self.aperture @ wider)).T for light, wider in parts]
-        )
+    def moved(self, images):
+        """Return the changes of images ``(n, n_pixels)`` along both axes, over the motion in px."""
+        parts = [
+            [self._without_sum(light, low - high) for low, high in edges]
+            for _, light, edges in self._blocks(images)
+        ]
+        return [np.concatenate(along) for along in zip(*parts, strict=True)]
+
+    def wider(self, images, center):
+        """Return the change of a PSF at centers ``(n, 2)`` that widens by a part, over this."""
+        return np.concatenate([self._without_sum(*both) for both in self._wider(images, center)])
 
     def lost(self, images, center):
         """Return what flows out of the stamp, ``(n,)``."""
         return -np.concatenate([wider.sum(axis=0) for _, wider in self._wider(images, center)])
 
+    def _without_sum(self, light, change):
+        return (change - light * (self.aperture @ change)).T
+
     def _wider(self, images, center):
         """Yield blocks of images and of what flows into each pixel, ``(n_pixels, n_block)``."""
+        for part, light, edges in self._blocks(images):
+            wider = np.zeros_like(light)
+            for axis, (low, high) in enumerate(edges):
+                far = self.grid[:, axis, None] - center[part, axis]
+                wider += (far - 0.5) * low - (far + 0.5) * high
+            yield light, wider
+
+    def _blocks(self, images):
+        """Yield cadences, images, and the light at the lower and upper edges along both axes."""
         for first in range(0, len(images), _BLOCK):
             part = slice(first, first + _BLOCK)
             light = images[part].T
-            wider = np.zeros_like(light)
-            for axis in (0, 1):
-                near = self._near(light, axis)
-                far = self.grid[:, axis, None] - center[part, axis]
-                for side, four in ((-1, near[:4]), (1, near[1:])):
-                    edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
-                    edge = np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
-                    wider -= side * (far + 0.5 * side) * edge
-            yield light, wider
+            near = [self._near(light, axis) for axis in (0, 1)]
+            yield part, light, [(_at_edge(five[:4]), _at_edge(five[1:])) for five in near]
 
     def _near(self, light, axis):
         """Return two pixels before and after each along an axis, ``(5, n_pixels, n_block)``."""

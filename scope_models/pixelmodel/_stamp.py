@@ -10,7 +10,7 @@ from scope_models.pixelmodel._position import (
     FEWEST_DARK,
     REWEIGHTS,
     Features,
-    Widening,
+    Flow,
     dark_plane,
 )
 from scope_models.pixelmodel._smoothing import TRANSIT, Smoother, quantile
@@ -56,7 +56,7 @@ class Stamp:
     scale: np.ndarray  # standard deviation of an image before the fit, (n_pixels,)
     features: Features  # functions of position for the images,
     coarse: Features  # and for their changes
-    widening: Widening
+    flow: Flow
     smoothed: Smoother
 
     def functions(self, position):
@@ -121,7 +121,7 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
         center, expected, known, scale,
         Features(expected[use], _SCALE, _TOLERANCE, _MAX_RANK),
         Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK),
-        Widening(grid, aperture), smoothed,
+        Flow(grid, aperture), smoothed,
     )  # fmt: skip
     zero, good = np.zeros(n), np.ones((n, n_pixels), dtype=bool)
     return stamp, States(total / unit, expected, zero, zero, plane, noise, good)

@@ -279,8 +279,12 @@ def _images(stamp, states, shape, functions, slow=None):
         squared = without_sum(few, changes["squared"])
         whole += w * by_width + w**2 * squared
         slopes.append(by_width + 2 * w * squared)
-    else:
-        slopes.append(stamp.widening(image, stamp.center + states.position))
+    else:  # motion that is not beyond the errors of POS_CORR shows no slopes
+        size = states.position[stamp.use].var(axis=0)
+        shown = size / (size + POSITION_PRIOR**2)
+        pairs = zip(shown, slopes, stamp.flow.moved(image), strict=True)
+        slopes = [part * slope + (1 - part) * flow for part, slope, flow in pairs]
+        slopes.append(stamp.flow.wider(image, stamp.center + states.position))
     if slow is not None:
         whole += without_sum(slow / total, changes["slow"])
     return _Images(image, whole, slopes, constant)
@@ -294,7 +298,7 @@ def _with_unit(stamp, states, shape, images, coarse):
     """
     use, outside, changes = stamp.use, ~stamp.aperture, dict(shape.changes)
     few = np.flatnonzero(use)[:: max(use.sum() // ENOUGH, 1)]
-    wider = stamp.widening(images.still[few], stamp.center + states.position[few]).mean(axis=0)
+    wider = stamp.flow.wider(images.still[few], stamp.center + states.position[few]).mean(axis=0)
     fitted = images.slopes[2][use].mean(axis=0)
     signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
     size = np.sqrt(signal[0] / signal[1])
@@ -525,7 +529,7 @@ def _kept(stamp, states, images, focus):
     A wider PSF moves light to the pixels outside, and out of the stamp.
     """
     outside = ~stamp.aperture
-    lost = focus * stamp.widening.lost(images.still, stamp.center + states.position)
+    lost = focus * stamp.flow.lost(images.still, stamp.center + states.position)
     whole = np.maximum(1 + images.still @ outside, 0.1)
     moved = focus * (images.slopes[2] @ outside)
     return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)

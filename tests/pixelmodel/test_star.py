@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.pixelmodel._position import Widening, precise_aperture
+from scope_models.pixelmodel._position import Flow, precise_aperture
 from scope_models.pixelmodel._smoothing import Smoother
 from scope_models.pixelmodel._star import IMAGE_ERROR, fit_star
 
@@ -101,16 +101,17 @@ def test_light_that_the_focus_moves_over_the_border_is_put_back():
     assert abs(slope(found.light)) < 0.1 * abs(slope(flux[:, aperture].sum(axis=1)))
 
 
-@pytest.mark.parametrize("star", [1e4, 1e5])
+@pytest.mark.parametrize("star", [1e4, 1e5, 1e6])
 def test_width_of_a_star_at_rest(star):
-    """No motion shows how its image changes with position."""
+    """No motion shows how its image changes with position, and POS_CORR drifts."""
     x, y = np.random.default_rng(4).normal([[4.1], [3.9]], 1e-4, (2, len(TIME)))
     measured = np.random.default_rng(5).normal(0, 3e-3, (len(TIME), 2))
+    measured += 0.006 * np.stack([np.sin(TIME / 0.8), np.cos(TIME / 1.1)], axis=1)
     width = SIGMA * (1 + 0.003 * np.sin(2 * np.pi * TIME / 4))
     flux, error = observed(star * image(x, y, width))
     aperture = np.hypot(*(GRID - 4).T) < 1.2  # light leaves it as the image widens
     focus = fit_star(TIME, flux, error, measured, GRID, aperture).focus
-    np.testing.assert_allclose(np.polyfit(width / SIGMA - 1, focus, 1)[0], 1, atol=0.15)
+    np.testing.assert_allclose(np.polyfit(width / SIGMA - 1, focus, 1)[0], 1, atol=0.25)
     assert np.corrcoef(focus, width)[0, 1] > 0.99
 
 
@@ -359,8 +360,8 @@ def test_light_that_a_wider_psf_loses_beside_the_stamp(wing):
     def light(scale):
         return 0.9 * image(x, y, scale * SIGMA) + 0.1 * image(x, y, scale * wing)
 
-    widening = Widening(GRID, np.ones(len(GRID), dtype=bool))
-    lost = widening.lost(light(1.0), np.column_stack([x, y]))
+    flow = Flow(GRID, np.ones(len(GRID), dtype=bool))
+    lost = flow.lost(light(1.0), np.column_stack([x, y]))
     exact = (light(1 - 1e-3) - light(1 + 1e-3)).sum(axis=1) / 2e-3
     np.testing.assert_allclose(lost.mean(), exact.mean(), rtol=0.2)
 
@@ -371,7 +372,7 @@ def test_widening_of_a_column_of_pixels_does_not_depend_on_their_order():
     column = np.flatnonzero(GRID[:, 0] == 4)
     light, center = image(x, y, 1.5)[:, column], np.column_stack([x, y])
     lost = [
-        Widening(GRID[column[order]], np.ones(len(order), bool)).lost(light[:, order], center)
+        Flow(GRID[column[order]], np.ones(len(order), bool)).lost(light[:, order], center)
         for order in (np.arange(len(column)), np.arange(len(column))[::-1])
     ]
     np.testing.assert_allclose(*lost, atol=1e-12)
