@@ -14,7 +14,14 @@ from scope_models import models
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._problem import State, median_image
-from scope_models.io.pixels import PixelSeries, star_places, target_among, usable_positions
+from scope_models.io.pixels import (
+    PixelSeries,
+    star_places,
+    target_among,
+    target_place,
+    usable_positions,
+)
+from scope_models.pixelmodel._position import nearness
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
@@ -132,7 +139,7 @@ def read_places(stars, neighbors, series, *, several):
         raise ValueError("give either `stars` or `neighbors`, not both")
     name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
     if given is None:
-        return [(None, np.zeros((0, 2)), 0.0)] * len(series)
+        return [(_by_coordinates(one), np.zeros((0, 2)), 0.0) for one in series]
     if not several or isinstance(given, str):
         given = [given] * len(series)
     if len(given) != len(series):
@@ -140,12 +147,32 @@ def read_places(stars, neighbors, series, *, several):
     return [*map(partial(_read_places, name), given, series)]
 
 
+def _by_coordinates(series):
+    """Return the maximum at the file's coordinates, None if that is the brightest of all.
+
+    Of several in the pipeline's aperture it is bright and near the place, which may err by 1 px.
+    """
+    if not np.isfinite(series.flux).any():
+        return None  # an error that the data are read with
+    peaks, place = find_stars(series.flux), target_place(series)
+    rows, columns = peaks[:, ::-1].T.astype(int)
+    light = median_image(series.flux)[rows, columns]
+    if (inside := series.aperture[rows, columns]).any():
+        light = np.where(inside, light, 0.0)
+    if place is not None:
+        light = light * nearness(*(peaks - place).T)
+    best = np.argmax(light) if len(peaks) else 0
+    return peaks[best] if best else None
+
+
 def _read_places(name, places, series):
     target, own = None, APART
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
-        found = find_stars(series.flux)
+        found, target = find_stars(series.flux), _by_coordinates(series)
+        if target is not None:
+            found = np.vstack([target, found[(found != target).any(axis=1)]])
         kept = np.arange(len(found)) < _MOST_FOUND
         message = (
             f"the {_MOST_FOUND} brightest of {len(found)} maxima of the median image are "

@@ -77,8 +77,9 @@ def fit_tpf(
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
-        the local maxima of the median image, the brightest first. By default one star, where the
-        light is. For several files, a sequence of them.
+        the local maxima of the median image, the brightest first after the target. By default one
+        star, the target: the maximum in the pipeline's aperture, of several one at the file's
+        coordinates. For several files, a sequence of them.
     neighbors : as ``stars``, optional
         Positions of the other stars only, of which none is the target, even where one is brighter;
         the target among places on the sky is left out. "find": the maxima more than 1.5 px from

@@ -36,6 +36,18 @@ def pair():
     return simulate(stars, DETECTOR, motion, seed=4)
 
 
+@pytest.mark.parametrize("name", ["stars", "neighbors"])
+def test_the_target_is_the_star_at_the_coordinates(name):
+    """A brighter star is in the aperture, too."""
+    stars = Star(13.0, *PLACES[0]), Star(12.0, 7.4, 4.4)
+    sky = Scene(stars, DETECTOR, 2 * Motion.k2_roll(60), ra=130.0, dec=18.0, seed=4)
+    tpf = simulate(sky).to_tpf()
+    tpf.hdu[2].data[:] = 3
+    fit = fit_tpf(tpf, 1, interpixel=0, options=FEW, **{name: "find"})
+    assert np.median(fit.x) == pytest.approx(PLACES[0][0], abs=0.1)
+    assert len(fit.neighbors) == 1
+
+
 def truth_of(observation, name, star):
     truth = observation.truth
     if name == "flux":
