@@ -358,10 +358,11 @@ class PLDFit:
             )
         crowded = 1 - self.model.pixels.crowding > CONTAMINATED
         if self.contamination > CONTAMINATED:
-            if self.contamination > _MANY:
+            if self.contrast_error > CONTAMINATED:
                 found.append(
-                    f"{100 * self.contamination:.1f} % of the light in the aperture was taken off, "
-                    "that of other stars"
+                    f"{100 * self.contamination:.0f} % of the light in the aperture was taken off, "
+                    "that of other stars: depths and amplitudes are uncertain by "
+                    f"{100 * self.contrast_error:.0f} %"
                 )
         elif crowded or self.contrast_error > _MANY:
             part = 1 - self.crowding if crowded else self.contrast_error
