@@ -21,7 +21,7 @@ from scope_models.io.pixels import (
     target_place,
     usable_positions,
 )
-from scope_models.pixelmodel._position import nearness
+from scope_models.pixelmodel._position import COORDINATES, nearness
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
@@ -150,7 +150,8 @@ def read_places(stars, neighbors, series, *, several):
 def _by_coordinates(series):
     """Return the maximum at the file's coordinates, None if that is the brightest of all.
 
-    Of several in the pipeline's aperture it is bright and near the place, which may err by 1 px.
+    Of several in the pipeline's aperture it is bright and near the place, which may err by 1 px;
+    without a maximum within twice that, the coordinates are wrong.
     """
     if not np.isfinite(series.flux).any():
         return None  # an error that the data are read with
@@ -160,7 +161,9 @@ def _by_coordinates(series):
     if (inside := series.aperture[rows, columns]).any():
         light = np.where(inside, light, 0.0)
     if place is not None:
-        light = light * nearness(*(peaks - place).T)
+        away = (peaks - place).T
+        if np.hypot(*away).min(initial=np.inf) < 2 * COORDINATES:
+            light = light * nearness(*away)
     best = np.argmax(light) if len(peaks) else 0
     return peaks[best] if best else None
 

@@ -46,6 +46,10 @@ def test_the_target_is_the_star_at_the_coordinates(name):
     fit = fit_tpf(tpf, 1, interpixel=0, options=FEW, **{name: "find"})
     assert np.median(fit.x) == pytest.approx(PLACES[0][0], abs=0.1)
     assert len(fit.neighbors) == 1
+    for hdu in tpf.hdu[:2]:  # 5 px to the left: no star is there
+        hdu.header["RA_OBJ"] += 5 * 3.98 / 3600 / np.cos(np.radians(18))
+    fit = fit_tpf(tpf, 1, interpixel=0, options=FEW, **{name: "find"})
+    assert np.median(fit.x) == pytest.approx(7.4, abs=0.1)
 
 
 def truth_of(observation, name, star):
