@@ -149,7 +149,7 @@ def _read_motion(path):
         columns = [table[name] for name in ("time", "x", "y")]
         flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
         return Motion(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a table of a motion: {error}") from error
 
 

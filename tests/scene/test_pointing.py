@@ -256,9 +256,10 @@ def test_tables_of_others_are_refused_or_converted(tmp_path):
     table.write(path, format="ascii.ecsv", overwrite=True)
     with pytest.raises(ValueError, match=r"motion\.ecsv is not a table of a motion"):
         Motion.read(path)
-    path.write_text("no table", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"motion\.ecsv is not a table of a motion"):
-        Motion.read(path)
+    for text in ("no table", ""):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"motion\.ecsv is not a table of a motion"):
+            Motion.read(path)
     with pytest.raises(FileNotFoundError):
         Motion.read(tmp_path / "absent.ecsv")
 
