@@ -139,7 +139,8 @@ def read_places(stars, neighbors, series, *, several):
         raise ValueError("give either `stars` or `neighbors`, not both")
     name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
     if given is None:
-        return [(_by_coordinates(one), np.zeros((0, 2)), 0.0) for one in series]
+        none = np.zeros((0, 2))
+        return [(_by_coordinates(one, find_stars(one.flux)), none, 0.0) for one in series]
     if not several or isinstance(given, str):
         given = [given] * len(series)
     if len(given) != len(series):
@@ -147,16 +148,13 @@ def read_places(stars, neighbors, series, *, several):
     return [*map(partial(_read_places, name), given, series)]
 
 
-def _by_coordinates(series):
-    """Return the maximum at the file's coordinates, None if that is the brightest of all.
+def _by_coordinates(series, peaks):
+    """Return the maximum at the file's coordinates, None if that is the first, the brightest.
 
     Of several in the pipeline's aperture it is bright and near the place, which may err by 1 px;
     without a maximum within twice that, the coordinates are wrong.
     """
-    if not np.isfinite(series.flux).any():
-        return None  # an error that the data are read with
-    peaks, place = find_stars(series.flux), target_place(series)
-    rows, columns = peaks[:, ::-1].T.astype(int)
+    place, (columns, rows) = target_place(series), peaks.T.astype(int)
     light = median_image(series.flux)[rows, columns]
     if (inside := series.aperture[rows, columns]).any():
         light = np.where(inside, light, 0.0)
@@ -173,7 +171,8 @@ def _read_places(name, places, series):
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
-        found, target = find_stars(series.flux), _by_coordinates(series)
+        found = find_stars(series.flux)
+        target = _by_coordinates(series, found)
         if target is not None:
             found = np.vstack([target, found[(found != target).any(axis=1)]])
         kept = np.arange(len(found)) < _MOST_FOUND
@@ -221,6 +220,8 @@ def located(data, target, others, own):
 def find_stars(flux):
     """Return columns and rows ``(k, 2)`` of the maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
+    if not good.any():
+        return np.zeros((0, 2))
     seen, image, error = good.any(axis=0), median_image(flux), np.ones(flux.shape[1:])
     scatter = mad_std(np.where(good, flux, np.nan)[:, seen], axis=0, ignore_nan=True)
     error[seen] = scatter / np.sqrt(good.sum(axis=0)[seen])

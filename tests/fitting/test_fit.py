@@ -376,6 +376,8 @@ class TestBadInput:
         tpf.flux[:] = np.nan
         with pytest.raises(ValueError, match="no finite value"):
             fit_tpf(tpf)
+        with pytest.raises(ValueError, match="must have at least the target"):
+            fit_tpf(tpf, stars="find")
         tpf.flux[:] = -1.0
         with pytest.raises(ValueError, match="no star to fit"):
             fit_tpf(tpf)
