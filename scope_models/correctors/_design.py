@@ -153,7 +153,7 @@ def level_column(pixels, use):
         most = quantile(light[fit].T, 0.98)
         dark = light[:, most <= np.median(most)]
         level = np.median(dark - np.median(dark[fit], axis=0) * relative[:, None], axis=1)
-        level = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))
+        level, _ = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))
         column[usable, 0] = level * weights.sum(axis=(-2, -1)) / pixels.total[usable]
     return column
 

@@ -199,7 +199,7 @@ def _with_smooth_widths(time, shape, track, flux, variance, priors, floor, use):
     mean, sigma = priors.mean.copy(), priors.sigma.copy()
     sigma[:, 3] = np.inf
     track, _, error = _varying(shape, track, flux, variance, Priors(mean, sigma), floor, use)
-    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
+    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3])[0], _HELD
     return _varying(shape, track, flux, variance, Priors(mean, sigma), floor, use)[:2]
 
 

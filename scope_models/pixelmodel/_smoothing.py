@@ -32,7 +32,7 @@ class Smoother:
         self._kernels, self._best = {}, {}
 
     def __call__(self, values, error, name=""):
-        """Smooth with the width of the least median leave-one-out error.
+        """Smooth with the width of the least median leave-one-out error; return course and error.
 
         The course is drawn to its mean by Wiener's factor, its variance over the sum of this and of
         the variance of its noise: noise has no course. Cadences that are not in use take the values
@@ -41,7 +41,7 @@ class Smoother:
         seeing is, are their own course: noise that is small beside them leaks nowhere.
         """
         use = self.use
-        typical, own = quantile(error[use]), values
+        typical, own = quantile(error[use]), (values, error)
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
         least, weight = np.inf, start
@@ -57,7 +57,8 @@ class Smoother:
         # where all cadences around are outliers there is no course
         left = np.minimum(noise, unit)[use].mean()
         mean, signal = smooth[use].mean(), max(smooth[use].var() - left, 0.0)
-        return mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
+        course = mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
+        return course, np.sqrt(noise)
 
     def without_dips(self, values, start, width):
         """Return values, and robust local lines of a width in place of outliers."""

@@ -326,8 +326,8 @@ def _rest(stamp, states, images):
 def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
-    Return the states, the errors of brightness, positions and focus, and the shape, in whose unit
-    the focus is.
+    The focus has a smooth course, and all else is the most likely at this. Return the states, the
+    errors of brightness, positions and focus, and the shape, in whose unit the focus is.
     """
     images = _images(stamp, states, shape, functions, slow)
     if "width" in shape.changes:
@@ -355,18 +355,20 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     for k, weight, distance in priors:
         hessian[k, k] += weight
         right[k] += weight * distance
-    change, error = _solved(hessian, right)
+    change, error, by_focus = _solved(hessian, right)
     brightness = states.brightness + np.clip(change[0], -0.3, 0.3)
     position = states.position + np.clip(change[1:3], -0.1, 0.1).T
-    variable = states.variable
+    plane, variable = states.plane + change[4:].T, states.variable
     if step >= _LATE and not alone:
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
-    focus = states.focus + np.clip(change[3], -_WIDTH_PRIOR, _WIDTH_PRIOR)
-    focus = _without_other_causes(stamp, focus, position, variable)
-    if step >= _LATE:
-        focus = stamp.smoothed(focus, error[3], "focus")
-    plane = states.plane + change[4:].T
+    found = states.focus + np.clip(change[3], -_WIDTH_PRIOR, _WIDTH_PRIOR)
+    focus = found = _without_other_causes(stamp, found, error[:4], position, variable)
+    focus, error[3] = stamp.smoothed(found, error[3], "focus")
+    shift = by_focus * (focus - found)
+    brightness += np.clip(shift[0], -0.3, 0.3)
+    position += np.clip(shift[1:3], -0.1, 0.1).T
+    plane += shift[4:].T
     plane, fluctuation = _background(stamp, plane, error[4:].T, late=step >= _LATE)
     states = replace(
         states, brightness=brightness, position=position, focus=focus, variable=variable,
@@ -414,7 +416,7 @@ def _background(stamp, plane, errors, *, late):
     plane, fluctuation = plane - quantile(plane[stamp.use].T) + stamp.base, 0.0
     if late:
         for k, (values, error) in enumerate(zip(plane.T[:3], errors.T[:3], strict=True)):
-            smooth = stamp.smoothed(values, error, f"background {k}")
+            smooth = stamp.smoothed(values, error, f"background {k}")[0]
             rest = np.abs(values - smooth)
             typical = 1.4826 * quantile(rest[stamp.use])
             jumps = rest > CLIP * np.maximum(error, typical)
@@ -464,13 +466,23 @@ def _on_scale(stamp, position, variable):
     return position + columns @ change
 
 
-def _without_other_causes(stamp, focus, position, variable):
-    """Return the focus without what positions, beyond their uncertainty, and brightness explain."""
-    use, center = stamp.use, position[stamp.use].mean(axis=0)
-    columns = np.column_stack([np.ones(len(use)), position - center, variable])
-    ridge = use.sum() * np.diag([0, POSITION_PRIOR, POSITION_PRIOR, 0]) ** 2
-    gram = columns[use].T @ columns[use] + ridge + 1e-9 * use.sum() * np.eye(4)
-    return focus - columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
+def _without_other_causes(stamp, focus, error, position, variable):
+    """Return the focus without what positions and brightness explain.
+
+    A width that follows the position may as well be in the images. Of all courses that differ by
+    this, that which changes least from cadence to cadence is taken: a slow drift of both is no
+    reason why the focus should follow the roll. What changes have beyond noise is the variance that
+    positions are expected to explain, beyond their uncertainty.
+    """
+    use = stamp.use
+    moved, changed = np.diff(position[use], axis=0), np.diff(focus[use])
+    *places, noise = 2 * quantile(error[1:, use]) ** 2
+    signal = max(np.mean(changed**2) - noise, 1e-12 * noise)
+    expected = noise * np.mean(moved**2, axis=0).sum() / signal
+    gram = moved.T @ moved + len(moved) * np.diag(places) + expected * np.eye(2)
+    focus = focus - position @ np.linalg.solve(gram, moved.T @ changed)
+    own = np.column_stack([np.ones(len(use)), variable])
+    return focus - own @ np.linalg.lstsq(own[use], focus[use], rcond=None)[0]
 
 
 def _light(stamp, states, shape, images, flux_err, *, changing):
@@ -574,7 +586,8 @@ def _solved(hessian, right):
     """Solve many small systems at once by Cholesky factors.
 
     Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
-    ``(k, n)``. Returned are the solution and its standard deviations, ``(k, n)``.
+    ``(k, n)``. Returned are the solution, its standard deviations, and its changes over those of
+    the focus, which is the fourth of its values, ``(k, n)``.
     """
     inverse = np.zeros_like(hessian)  # of the factor
     for i in range(len(right)):
@@ -583,4 +596,5 @@ def _solved(hessian, right):
         inverse[i, i] = 1 / np.sqrt(np.maximum(pivot, 1e-30))
         inverse[i, :i] = -inverse[i, i] * np.einsum("jn,jkn->kn", row, inverse[:i, :i])
     solution = np.einsum("jin,jn->in", inverse, np.einsum("ijn,jn->in", inverse, right))
-    return solution, np.sqrt(np.einsum("jin,jin->in", inverse, inverse))
+    error = np.sqrt(np.einsum("jin,jin->in", inverse, inverse))
+    return solution, error, np.einsum("jin,jn->in", inverse, inverse[:, 3]) / error[3] ** 2
