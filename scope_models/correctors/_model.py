@@ -299,7 +299,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
     predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
     they are wrong, and measured ones are taken if they predict these better, unless they may follow
-    the star by more than the noise of 6.5 h, with the light beside it that may be left.
+    the star by more than the noise of 6.5 h, with the light beside it that may be left. Where a
+    walk, which may be the star's, explains that noise, they must be decisively better.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -319,10 +320,11 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
                 fitted = other.fit(cadence_mask, **transit)
             following = fitted.contrast_error * np.std(fitted.solution.y)
             seen = following**2 > np.median(fitted.solution.variance) / fitted.window
-            if not fitted.solution.noise_is_outlier or seen:
+            wrong, walk = fitted.solution.noise_is_outlier, fitted.solution.hyper.walk
+            if seen or not (wrong or walk):
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
-            return other if _gain(other, fitted) > 0 else fitted
+            return other if _gain(other, fitted) > (0 if wrong else _DECISIVE) else fitted
         except ValueError:  # they cannot be fitted
             return fitted
 

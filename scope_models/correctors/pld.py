@@ -178,10 +178,11 @@ class PLDCorrector(LightkurveNames, Corrector):
             also with images that change slowly and a background that fluctuates, or as they are
             measured. Measured fractions follow the star where other light is in the aperture. By
             default predicted ones, and those of changing images if they predict unseen windows
-            decisively better; measured ones if they do so at all, the others leave more noise than
-            FLUX_ERR may lack, and other light cannot make them follow the star by more than the
-            noise of 6.5 h. ``pld_aperture_mask``, background as a regressor, full pixels and fewer
-            than 200 cadences or 4 pixels allow measured ones only.
+            decisively better; measured ones if they do so at all (decisively, where the noise may
+            be a walk of the star), the others leave more noise than FLUX_ERR may lack, and other
+            light cannot make them follow the star by more than the noise of 6.5 h.
+            ``pld_aperture_mask``, background as a regressor, full pixels and fewer than 200
+            cadences or 4 pixels allow measured ones only.
         regressors : object or list, optional
             Further columns: arrays ``(n_cadences,)`` or ``(n_cadences, n)``, lightkurve's design
             matrices, its cotrending basis vectors, which are matched by their cadence numbers as
