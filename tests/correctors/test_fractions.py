@@ -208,11 +208,10 @@ def test_images_change_where_the_data_demand_it():
         corrector = PLDCorrector(KeplerTargetPixelFile(hdus))
         for fractions in ("auto", "predicted"):
             flux = corrector.correct(fractions=fractions).flux.value
-            spread.append(np.nanmedian(np.abs(np.diff(flux))) / np.nanmedian(flux))
+            spread.append(np.nanstd(np.diff(flux)) / np.nanmedian(flux))
         chosen.append("changing" in str(corrector.correct() and corrector.result))
     assert chosen == [False, True]
-    assert spread[0] == spread[1]
-    assert spread[2] == pytest.approx(spread[0], rel=0.1)  # 0.97; they have errors of 4 %
+    assert spread[0] == spread[1] < spread[2] < 1.1 * spread[0]  # 1.02
     assert spread[3] > 1.5 * spread[2]
     assert 0.95 < corrector.result.noise_scale < 1.2  # 1.08
 

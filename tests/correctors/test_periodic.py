@@ -171,12 +171,14 @@ def test_unmasked_eclipses_keep_their_depth(period):
 
 def test_a_random_walk_is_no_noise():
     """Stars whose flux walks by many times the noise from cadence to cadence."""
-    pulls = []
-    for seed in (5, 6):
+    pulls, warning = [], "the noise has .* times the variance of FLUX_ERR"
+    for seed in range(5, 9):
         sky = make_sky(REGIMES["k2-1x-walk-20d"], seed, n_cadences=800)
         corrector = PLDCorrector(sky.to_tpf())
-        with pytest.warns(DetrendingWarning, match="the noise has .* times the variance of FLUX_"):
+        with pytest.warns(DetrendingWarning, match=warning):
             lc = corrector.correct()
         assert corrector.result.noise_scale < 2  # 60 without a walk
         pulls.append(score(lc, sky).pull)
-    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.5  # 0.84
+    # one star's errors are those of few coefficients: its pull scatters by a quarter
+    assert max(pulls) < 1.5
+    assert np.sqrt(np.mean(np.square(pulls))) > 0.7  # 0.89
