@@ -274,10 +274,13 @@ class PLDFit:
         if clean is None:
             raise ValueError("the pixel fractions are measured: there are no states to draw")
         states, leaks = clean.leaks()
+        columns, rows = clean.grid.T
+        images = np.full((len(leaks), *pixels.aperture.shape), np.nan)
+        images[:, rows, columns] = list(leaks.values())
         return plot_states(
             pixels.time,
             {name: self._whole(values) for name, values in states.items()},
-            {name: values.reshape(pixels.aperture.shape) for name, values in leaks.items()},
+            dict(zip(leaks, images, strict=True)),
             pixels.aperture,
             time_label=f"Time ({self.model.source.series.time_format.upper()})",
         )

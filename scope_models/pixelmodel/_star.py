@@ -80,9 +80,11 @@ class StarModel:
     focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
     constant: float  # part of the light that does not vary with the star, at least
     repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
+    slopes: np.ndarray  # mean change of the fractions with column, row and width, (3, n_pixels)
+    grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
 
     def leaks(self):
-        """Return the states by name, and the light that positions and width move in each pixel."""
+        """Return the states by name, and what a standard deviation of three adds to fractions."""
         background = np.mean(self.background, axis=1)
         states = {
             "Column (pixel)": self.position[:, 0],
@@ -90,11 +92,8 @@ class StarModel:
             "Relative width": np.round(self.focus - np.median(self.focus), 12),
             "Background (e-/s)": background - np.median(background),
         }
-        moving = list(states)[:3]
-        columns = np.column_stack([np.ones_like(self.focus), *(states[name] for name in moving)])
-        slopes = np.linalg.lstsq(columns, self.shares, rcond=None)[0][1:]
-        sizes = np.std(columns[:, 1:], axis=0)
-        return states, dict(zip(moving, sizes[:, np.newaxis] * slopes, strict=True))
+        moving = zip(list(states)[:3], self.slopes, strict=True)
+        return states, {name: np.std(states[name]) * slope for name, slope in moving}
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,7 +354,9 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     for k, weight, distance in priors:
         hessian[k, k] += weight
         right[k] += weight * distance
-    change, error, by_focus = _solved(hessian, right)
+    change, factor = _solved(hessian, right)
+    error = np.sqrt(np.einsum("jin,jin->in", factor, factor))
+    by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
     brightness = states.brightness + np.clip(change[0], -0.3, 0.3)
     position = states.position + np.clip(change[1:3], -0.1, 0.1).T
     plane, variable = states.plane + change[4:].T, states.variable
@@ -579,6 +580,8 @@ def _result(stamp, states, images, light, light_error, image_error):
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
         repaired=~states.good,
+        slopes=np.where(inside, [slope[stamp.use].mean(axis=0) for slope in images.slopes], 0.0),
+        grid=stamp.grid,
     )
 
 
@@ -586,8 +589,7 @@ def _solved(hessian, right):
     """Solve many small systems at once by Cholesky factors.
 
     Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
-    ``(k, n)``. Returned are the solution, its standard deviations, and its changes over those of
-    the focus, which is the fourth of its values, ``(k, n)``.
+    ``(k, n)``. Returned are the solution and the inverse of the lower factor, ``(k, k, n)``.
     """
     inverse = np.zeros_like(hessian)  # of the factor
     for i in range(len(right)):
@@ -595,6 +597,4 @@ def _solved(hessian, right):
         pivot = (1 + 1e-9) * hessian[i, i] - np.einsum("jn,jn->n", row, row)
         inverse[i, i] = 1 / np.sqrt(np.maximum(pivot, 1e-30))
         inverse[i, :i] = -inverse[i, i] * np.einsum("jn,jkn->kn", row, inverse[:i, :i])
-    solution = np.einsum("jin,jn->in", inverse, np.einsum("ijn,jn->in", inverse, right))
-    error = np.sqrt(np.einsum("jin,jin->in", inverse, inverse))
-    return solution, error, np.einsum("jin,jn->in", inverse, inverse[:, 3]) / error[3] ** 2
+    return np.einsum("jin,jn->in", inverse, np.einsum("ijn,jn->in", inverse, right)), inverse

@@ -533,6 +533,15 @@ def test_figure_of_the_states(corrected, star):
         corrector.result.plot_states()
 
 
+def test_figure_of_the_states_beside_a_pixel_without_data(star):
+    hdus = fits.HDUList([hdu.copy() for hdu in star.tpf.hdu])
+    hdus[1].data["FLUX"][:, 0, 2] = np.nan
+    corrector = PLDCorrector(KeplerTargetPixelFile(hdus))
+    corrector.correct()
+    leak = corrector.result.plot_states()["leak, Row (pixel)"].images[0].get_array()
+    np.testing.assert_array_equal(np.argwhere(np.ma.getmaskarray(leak)), [[0, 2]])
+
+
 @pytest.mark.parametrize("name", ["diagnose", "diagnose_masks"])
 def test_figures_need_a_correction(star, name):
     with pytest.raises(ValueError, match="call `correct` first"):

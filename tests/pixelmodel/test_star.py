@@ -53,6 +53,11 @@ def deviation(shares, true):
     return np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean())
 
 
+def widened(x, y):
+    """Return the mean change of fractions with the relative width, ``(n_pixels,)``."""
+    return (image(x, y, 1.001 * SIGMA) - image(x, y)).mean(axis=0) / 0.001
+
+
 def test_fractions_of_a_star_with_focus_and_background():
     x, y, measured = motion()
     width = SIGMA * (1 + 0.004 * np.sin(2 * np.pi * TIME / 7))
@@ -78,6 +83,20 @@ def test_width_that_changes_as_the_star_drifts():
     assert np.corrcoef(found.focus, slow)[0, 1] > 0.99
     noise = np.sqrt((2.0**2 + FLUX * true / 1600).sum(axis=1).mean()) / FLUX
     assert deviation(found.shares, true) < 0.5 * noise
+    moved = 0.005 * slow.std() * widened(x, y)
+    leak = found.leaks()[1]["Relative width"]
+    np.testing.assert_allclose(leak, moved, atol=0.2 * np.abs(moved).max())  # 0.14
+
+
+def test_a_small_width_beside_a_large_motion_moves_little_light():
+    """What the motion moves depends on it in ways that may resemble the width's course."""
+    slow, roll = np.sin(2 * np.pi * TIME / 14), (TIME / 0.245 % 1 - 0.5) * np.cos(TIME / 4)
+    x, y = 4.1 + 1.5 * roll + 0.1 * slow, 3.9 + roll + 0.05 * slow
+    measured = np.column_stack([x - 4.1, y - 3.9])
+    measured += 0.01 * np.random.default_rng(1).normal(size=measured.shape)
+    found = clean(FLUX * image(x, y, SIGMA * (1 + 0.001 * slow)), measured)
+    most = 0.001 * slow.std() * np.abs(widened(x, y)).max()
+    assert np.abs(found.leaks()[1]["Relative width"]).max() < 1.2 * most
 
 
 def test_slow_background_that_is_steeper_than_dark_pixels_show():
