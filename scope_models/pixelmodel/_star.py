@@ -40,6 +40,8 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "slow": 1.0, "constant": 1.0}
 #: Tolerance: number of steps at most, and at least. The fit ends if the median steps of brightness,
 #: both positions and width are less than these parts of their errors.
 _MOST_STEPS, _FEWEST_STEPS, _SMALL_STEPS = 12, 4, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: largest changes in a step of brightness, both positions (px) and width.
+_LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: number of steps once images may change slowly.
 _REFINEMENTS = 3
 #: Tolerance: steps after which widths have images of their own, and constant light counts.
@@ -355,20 +357,21 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
         hessian[k, k] += weight
         right[k] += weight * distance
     change, factor = _solved(hessian, right)
+    change[:4] = np.clip(change[:4], -_LARGEST, _LARGEST)
     error = np.sqrt(np.einsum("jin,jin->in", factor, factor))
     by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
-    brightness = states.brightness + np.clip(change[0], -0.3, 0.3)
-    position = states.position + np.clip(change[1:3], -0.1, 0.1).T
+    brightness, position = states.brightness + change[0], states.position + change[1:3].T
     plane, variable = states.plane + change[4:].T, states.variable
     if step >= _LATE and not alone:
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
-    found = states.focus + np.clip(change[3], -_WIDTH_PRIOR, _WIDTH_PRIOR)
-    focus = found = _without_other_causes(stamp, found, error[:4], position, variable)
+    focus = states.focus + change[3]
+    found = _without_other_causes(stamp, focus, error[:4], position, variable)
     focus, error[3] = stamp.smoothed(found, error[3], "focus")
     shift = by_focus * (focus - found)
-    brightness += np.clip(shift[0], -0.3, 0.3)
-    position += np.clip(shift[1:3], -0.1, 0.1).T
+    shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
+    brightness += shift[0]
+    position += shift[1:3].T
     plane += shift[4:].T
     plane, fluctuation = _background(stamp, plane, error[4:].T, late=step >= _LATE)
     states = replace(
