@@ -13,8 +13,8 @@ from scope_models.correctors._features import (
     shared_columns,
 )
 from scope_models.correctors._pixels import aperture_pixels
-from scope_models.correctors._saturation import without_saturation
 from scope_models.io import read_pixels
+from scope_models.pixelmodel._columns import full_columns, without_saturation
 from scope_models.pixelmodel._smoothing import Smoother, quantile
 
 __all__ = [
@@ -60,10 +60,9 @@ def make_regressors(pixels, use, options):
     usable = pixels.usable
     total, most = pixels.total[usable], options.most
     mask = pixels.aperture if options.mask is None else options.mask
-    photons = float(np.median((pixels.total_err[usable] ** 2 / total)[use]))
-    images = without_saturation(
-        np.nan_to_num(pixels.flux[usable]), mask, use, options.saturation, photons
-    )
+    images = np.nan_to_num(pixels.flux[usable])
+    full = full_columns(np.where(mask, images, 0.0), use, options.saturation)
+    images = without_saturation(images, mask, full)
     images /= total[:, None, None]
     fractions = images[:, mask]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))

@@ -82,10 +82,9 @@ class Source:
         """Return all stars' light in each pixel, e-/s."""
         light = self.pixels.flux - self._image[1]
         if clean is not None:
-            use = self.pixels.usable
+            use, (columns, rows) = self.pixels.usable, clean.grid.T
             flux = self.pixels.flux[use]
-            known = np.isfinite(flux).all(axis=0)
-            flux[:, known] -= clean.background
+            flux[:, rows, columns] -= clean.background
             light[use] = flux
         return light
 

@@ -55,8 +55,8 @@ class PLDOptions(Value):
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
         known. A full pixel stays full when the star dims, so that its share of the light would
-        reveal to the model a transit: columns with such pixels are replaced by images of their sum
-        at the row of the other columns. None: all pixels count.
+        reveal to the model a transit: a column with such pixels counts as one pixel, its sum,
+        and the default aperture has it whole. None: all pixels count.
     background : int, optional
         Number of principal components of the pixels outside of the aperture, if these are
         regressors.
@@ -205,7 +205,7 @@ class PLDModel:
         if plain and can_predict(pixels, saturation, use):
             changing = options.fractions == "changing"
             predicted, clean = with_predicted_fractions(
-                pixels, series.pos_corr, use, changing=changing, state=state
+                pixels, series.pos_corr, use, saturation, changing=changing, state=state
             )
             bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
             if clean and predicted.usable[bright].mean() > _CREDIBLE:

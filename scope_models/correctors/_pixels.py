@@ -11,6 +11,7 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
+from scope_models.pixelmodel._columns import full_columns
 from scope_models.pixelmodel._position import (
     COORDINATES,
     DARK_PART,
@@ -119,6 +120,10 @@ class Pixels:
     core: np.ndarray | None = None
     place: np.ndarray | None = None
 
+    def full_columns(self, use, saturation):
+        """Return which columns of the aperture are full, ``(nx,)``, at ``saturation``, e-/s."""
+        return full_columns(np.where(self.aperture, self.flux, 0.0), use, saturation)
+
     def quiet(self, use):
         """Return the cadences in use without rolling bands, unless these are in most."""
         quiet = use & ~self.banded
@@ -130,12 +135,13 @@ class Pixels:
         return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
-def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None):
+def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, saturation=None):
     """Choose the aperture whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
     stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
     aperture loses with the star's motion least; all without ``pos_corr``, ``(n_cadences, 2)`` px.
+    Columns with full pixels, at ``saturation``, e-/s, are whole: charge bleeds as far as it must.
     The target is searched in the pixels of ``pipeline``, near its ``place`` if that is known.
     """
     if len(flux) < _FEWEST:
@@ -169,11 +175,13 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None):
     peak = np.argmax(np.where(target, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others
-    if pos_corr is None:
-        return own
-    around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
-    near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
-    return _most_precise(flux, flux_err, own, around & near, pos_corr)
+    best = own
+    if pos_corr is not None:
+        around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
+        near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
+        best = _most_precise(flux, flux_err, own, around & near, pos_corr)
+    full = full_columns(np.where(best, given, 0.0), finite, saturation)
+    return best | full & ~others & np.isfinite(given[finite]).all(axis=0)
 
 
 def _target_pixels(image, near, place):
@@ -298,7 +306,9 @@ def aperture_pixels(series, aperture):
     if aperture is None:
         dark = ~banded  # rolling bands light up pixels without stars
         positions = None if series.pos_corr is None else series.pos_corr[dark]
-        aperture = choose_aperture(flux[dark], flux_err[dark], series.aperture, positions, place)
+        full = series.mission and series.mission.full_flux
+        data = flux[dark], flux_err[dark], series.aperture, positions
+        aperture = choose_aperture(*data, place, full)
     elif np.ndim(aperture) == 3:
         weights = checked_weights("aperture_mask", aperture, flux.shape)
         aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
@@ -392,17 +402,17 @@ def _own_light(flux, aperture, core, pos_corr, place):
 def can_predict(pixels, saturation, use):
     """Whether the pixel fractions can be predicted, learned from the cadences in ``use``.
 
-    Not with few pixels or cadences, without FLUX_ERR, nor where pixels are full, at ``saturation``,
-    e-/s: their light depends on others'.
+    Not with few pixels or cadences, without FLUX_ERR, nor for a moving aperture where pixels are
+    full, at ``saturation``, e-/s: their light depends on others'.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
     if flux.shape[0] < _CADENCES_TO_PREDICT or flux.shape[1] < _PIXELS_TO_PREDICT:
         return False
-    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max() > saturation
+    full = pixels.weights is not None and pixels.full_columns(use, saturation).any()
     return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None, **options):
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
     Images are learned from the cadences of ``cadence_mask``, by default all; ``options`` are
@@ -412,7 +422,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
     """
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
-    known = np.isfinite(pixels.flux[use]).all(axis=0)
+    full = pixels.full_columns(learned, saturation)
+    known = np.isfinite(pixels.flux[use]).all(axis=0) & (pixels.aperture | ~full)
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)
@@ -430,6 +441,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
                 pixels.aperture[known],
                 use=pixels.quiet(learned)[use],
                 banded=pixels.banded[use],
+                full=full[columns],
                 **options,
             )
     except np.linalg.LinAlgError:

@@ -1,6 +1,7 @@
 """Pixel level decorrelation of target pixel files."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from lightkurve.correctors.corrector import Corrector
@@ -277,11 +278,14 @@ class PLDCorrector(LightkurveNames, Corrector):
         none = settings.fractions == "measured" if given is None else not len(given)
         if none:
             return pixels, series
-        if not can_predict(pixels, settings.full_flux(series), pixels.usable & pixels.lit & mask):
-            if given is not None:
-                message = "pixels are full, or too few: the light of `neighbors` stays in the flux"
+        saturation, use = settings.full_flux(series), pixels.usable & pixels.lit & mask
+        full = pixels.full_columns(use, saturation).any()
+        if full or not can_predict(pixels, saturation, use):
+            if given is not None or (full and not pixels.own.all()):
+                message = "pixels are full, or too few: the light of other stars stays in the flux"
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
-            return pixels, series
+            own = pixels.own | pixels.aperture  # no model holds what is in the others
+            return replace(pixels, flux=np.where(own, pixels.flux, np.nan)), series
         found = light_of_neighbors(pixels, series, mask, given)
         return (pixels, series) if found is None else without_neighbors(pixels, series, found)
 

@@ -93,14 +93,15 @@ class Flow:
 
     Parameters
     ----------
-    grid : ndarray
-        Column and row of each pixel, ``(n_pixels, 2)``.
+    columns : Columns
+        The pixels, of which those of full columns are drawn for it.
     aperture : ndarray of bool
         Pixels whose sum stays as it is.
     """
 
-    def __init__(self, grid, aperture):
-        self.grid, self.aperture = grid, aperture
+    def __init__(self, columns, aperture):
+        self.columns, self.grid, self.aperture = columns, columns.grid, aperture
+        grid = columns.grid
         places = {tuple(place): k for k, place in enumerate(grid)}
         moved = [[grid + i * axis for i in range(-2, 3)] for axis in np.eye(2, dtype=int)]
         self._beside = np.array([[[places.get(tuple(p), -1) for p in m] for m in k] for k in moved])
@@ -122,7 +123,7 @@ class Flow:
         return -np.concatenate([wider.sum(axis=0) for _, wider in self._wider(images, center)])
 
     def _without_sum(self, light, change):
-        return (change - light * (self.aperture @ change)).T
+        return self.columns.summed((change - light * (self.aperture @ change)).T)
 
     def _wider(self, images, center):
         """Yield blocks of images and of what flows into each pixel, ``(n_pixels, n_block)``."""
@@ -137,7 +138,7 @@ class Flow:
         """Yield cadences, images, and the light at the lower and upper edges along both axes."""
         for first in range(0, len(images), _BLOCK):
             part = slice(first, first + _BLOCK)
-            light = images[part].T
+            light = self.columns.drawn(images[part]).T
             near = [self._near(light, axis) for axis in (0, 1)]
             yield part, light, [(_at_edge(five[:4]), _at_edge(five[1:])) for five in near]
 

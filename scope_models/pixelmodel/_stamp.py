@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from scope_models.pixelmodel._columns import Columns
 from scope_models.pixelmodel._position import (
     ENOUGH,
     FEWEST_DARK,
@@ -58,6 +59,8 @@ class Stamp:
     coarse: Features  # and for their changes
     flow: Flow
     smoothed: Smoother
+    columns: Columns
+    terms: np.ndarray  # those of the background in all pixels, (n_all, k)
 
     def functions(self, position):
         """Return kernels of position, and the functions for images and for their changes."""
@@ -83,9 +86,10 @@ class States:
     fluctuation: float = 0.0  # variance of the background from cadence to cadence
 
 
-def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None):
+def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None, full=None):
     """Return a `Stamp`, with arguments as `fit_star` has them, and the first `States`."""
     n, n_pixels = flux.shape
+    full = np.zeros(n_pixels, dtype=bool) if full is None else full
     use = np.ones(n, dtype=bool) if use is None else use
     banded = np.zeros(n, dtype=bool) if banded is None else banded
     typical = quantile(flux[use].T)
@@ -93,15 +97,20 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     planes = np.column_stack([np.ones(n_pixels), offset])
     n_terms = 3 if n_pixels // 4 >= FEWEST_DARK else 1  # few pixels show no slope
     slope = dark_plane(typical, planes)[:n_terms]
-    dark = np.argsort(typical - planes[:, :n_terms] @ slope)[: max(3, n_pixels // 4)]
+    columns = Columns(grid, full)
     if banded.any():
         rows = 2 * (grid[:, 1] - grid[:, 1].min()) / max(np.ptp(grid[:, 1]), 1) - 1
         waves = np.polynomial.legendre.legvander(rows, _BANDS)[:, 2:]
         planes = np.column_stack([planes, waves])
+    terms, planes, grid = planes, columns.summed(planes.T).T, columns.places
+    flow = Flow(columns, aperture)
+    flux, flux_err = columns.summed(flux), np.sqrt(columns.summed(flux_err**2))
+    aperture, typical = columns.summed(aperture.astype(float)) > 0, columns.summed(typical)
+    dark = np.argsort(typical - planes[:, :n_terms] @ slope)[: max(3, len(grid) // 4)]
     # unless that may be the star's wings
     level = quantile(typical[dark])
     base = np.zeros(planes.shape[1])
-    if level * aperture.sum() > _BACKGROUND * typical[aperture].sum():
+    if level * planes[aperture, 0].sum() > _BACKGROUND * typical[aperture].sum():
         base[0] = level
     plane = np.zeros((n, len(base))) + base
     plane[:, :n_terms] += _planes((flux - typical)[:, dark], planes[dark, :n_terms])
@@ -113,17 +122,18 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     waves = np.zeros(n)
     if banded.any():
         waves = _wave_sizes((flux - typical)[:, dark] / unit, banded, use, smoothed.step)
-    inside = own[:, aperture], grid[aperture]
+    inside = own[:, aperture], grid[aperture], columns.single[aperture]
     center, expected, known = _expected(*inside, position, total / unit, use)
+    grid = np.where(columns.single[:, None], grid, [1, 0] * grid + [0, 1] * center)
     scale = _most_light(own[use], 3 * np.sqrt(noise), grid - center - expected[use, None])
     stamp = Stamp(
         time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves, dark,
         center, expected, known, scale,
         Features(expected[use], _SCALE, _TOLERANCE, _MAX_RANK),
         Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK),
-        Flow(grid, aperture), smoothed,
+        flow, smoothed, columns, terms,
     )  # fmt: skip
-    zero, good = np.zeros(n), np.ones((n, n_pixels), dtype=bool)
+    zero, good = np.zeros(n), np.ones(light.shape, dtype=bool)
     return stamp, States(total / unit, expected, zero, zero, plane, noise, good)
 
 
@@ -152,12 +162,14 @@ def _wave_sizes(change, banded, use, step):
     return np.sqrt(np.maximum(excess, 0.0))
 
 
-def _expected(light, grid, position, total, use):
+def _expected(light, grid, single, position, total, use):
     """Return the typical place of the star, and positions relative to it by POS_CORR.
 
     Where that is unknown or absurd, they are centroids in its scale.
     """
     centroid = light @ grid / total[:, None]
+    if 0 < single.sum() < len(single):  # full columns do not show the row
+        centroid[:, 1] = light[:, single] @ grid[single, 1] / light[:, single].sum(axis=1)
     center = quantile(centroid[use].T)
     centroid = centroid - center
     known = np.isfinite(position).all(axis=1)

@@ -120,7 +120,7 @@ class _Images:
 
 
 def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded=None,
-             changing=False, state=None):  # fmt: skip
+             full=None, changing=False, state=None):  # fmt: skip
     """Predict the pixel fractions of a star.
 
     Parameters
@@ -139,6 +139,8 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
     banded : ndarray of bool, optional
         Cadences with waves in the background along the rows, ``(n,)``; by default none.
+    full : ndarray of bool, optional
+        Pixels of columns in which charge has bled, ``(n_pixels,)``; by default none.
     changing : bool, optional
         Whether the images change slowly with time, and the background fluctuates.
     state : dict, optional
@@ -152,7 +154,7 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
     state = {} if state is None else state
     if not state:
         state["fitted"] = _converged(
-            *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded)
+            *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
         )
     stamp, states, shape = state["fitted"]
     slow = None
@@ -309,8 +311,9 @@ def _with_unit(stamp, states, shape, images, coarse):
     if outside.any():
         wing = quantile((wider - fitted / size)[outside])
         one = np.linalg.lstsq(coarse[use], np.ones(use.sum()), rcond=None)[0]
-        changes["width"] = changes["width"] + wing * one[:, None]
-        slope += wing * (1 - stamp.aperture.sum() * images.still)
+        level = stamp.planes[:, 0]
+        changes["width"] = changes["width"] + wing * one[:, None] * level
+        slope += wing * (level - level[stamp.aperture].sum() * images.still)
     images = replace(images, slopes=[*images.slopes[:2], slope])
     return states, replace(shape, changes=changes), images
 
@@ -502,6 +505,7 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
     rest = _rest(stamp, states, images)
     rest[~states.good] = 0.0
     use, mean, dark = stamp.use, images.whole[stamp.use].mean(axis=0), stamp.dark
+    level = stamp.planes[:, 0]
     # FLUX_ERR lacks what dark pixels show
     change = np.diff(rest[use][:, dark], axis=0) / np.sqrt(2 * stamp.noise[dark])
     noise = stamp.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
@@ -512,7 +516,7 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
     fluctuation = states.fluctuation if changing else 0.0
     balance = np.eye(len(mean)) - np.outer(np.where(stamp.aperture, mean, 0), stamp.aperture)
     misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
-    covariance = np.diag(noise + width * everywhere) + width * misfit
+    covariance = np.diag(noise + width * everywhere * level) + width * misfit
     root = np.linalg.inv(np.linalg.cholesky(covariance)).T
     # at rare places images are uncertain: in all pixels alike, so that one set of axes does
     typical = shape.doubt[use].mean(axis=0)
@@ -522,7 +526,7 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
     gain = 1 / np.sqrt(1 + factor * np.maximum(sizes, 0))
     columns = [gain * (images.whole @ root)]
     columns += [gain * states.brightness[:, None] * (slope @ root) for slope in images.slopes]
-    columns.append(gain * root.sum(axis=0))
+    columns.append(gain * (level @ root))
     hessian = np.zeros((len(columns), len(columns), len(rest)))
     for i, column in enumerate(columns):
         for j in range(i + 1):  # only the lower triangle is used
@@ -535,8 +539,8 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
     parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
     weights = (gain * sum(size * column for size, column in parts)) @ root.T
     light = states.brightness + np.sum(weights * rest, axis=1)
-    variance = np.sum((weights * flux_err / stamp.unit) ** 2, axis=1)
-    return light, np.sqrt(variance + fluctuation * weights.sum(axis=1) ** 2)
+    variance = weights**2 * stamp.columns.summed((flux_err / stamp.unit) ** 2)
+    return light, np.sqrt(variance.sum(axis=1) + fluctuation * (weights @ level) ** 2)
 
 
 def _kept(stamp, states, images, focus):
@@ -569,22 +573,24 @@ def _result(stamp, states, images, light, light_error, image_error):
     light, the width has no short dips.
     """
     inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
+    drawn = stamp.columns.drawn
+    slopes = np.array([slope[stamp.use].mean(axis=0) for slope in images.slopes])
     focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
     kept = _kept(stamp, states, images, focus)
     still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
     return StarModel(
         light=stamp.unit * light * kept,
         light_error=stamp.unit * light_error * kept,
-        shares=np.where(inside, images.whole, 0.0) / kept[:, None],
-        still=np.where(inside, still, 0.0),
+        shares=drawn(np.where(inside, images.whole, 0.0)) / kept[:, None],
+        still=drawn(np.where(inside, still, 0.0)),
         outside=images.still @ ~inside,
-        background=stamp.unit * (states.plane @ stamp.planes.T),
+        background=stamp.unit * (states.plane @ stamp.terms.T),
         position=states.position,
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
-        repaired=~states.good,
-        slopes=np.where(inside, [slope[stamp.use].mean(axis=0) for slope in images.slopes], 0.0),
-        grid=stamp.grid,
+        repaired=drawn(~states.good) > 0,
+        slopes=drawn(np.where(inside, slopes, 0.0)),
+        grid=stamp.columns.grid,
     )
 
 

@@ -340,10 +340,22 @@ def test_neighbors_of_full_pixels_stay_with_a_warning():
     corrector = PLDCorrector(sky.to_tpf(), neighbors=[[2.0, 2.0]])
     with (
         warnings.catch_warnings(),
-        pytest.warns(DetrendingWarning, match="the light of `neighbors` stays in the flux"),
+        pytest.warns(DetrendingWarning, match="the light of other stars stays in the flux"),
     ):
         corrector.correct()
     assert corrector.result.neighbors is None
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_neighbor_with_a_peak_beside_a_full_star_is_a_warning(apart):
+    neighbors = ((1.0, 4.0, 0.0),) if apart else ()
+    regime = SkyRegime("full", mission="K2", magnitude=10.5, neighbors=neighbors)
+    corrector = PLDCorrector(make_sky(regime, 3, n_cadences=300).to_tpf())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        corrector.correct()
+    warned = any("the light of other stars stays" in str(w.message) for w in caught)
+    assert warned == apart
 
 
 def test_no_neighbors_are_no_warning():

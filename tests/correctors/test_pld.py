@@ -12,6 +12,7 @@ from lightkurve.correctors.corrector import Corrector
 from lightkurve.targetpixelfile import TargetPixelFile
 
 from scope_models import Detector, Motion, Star, simulate
+from scope_models.benchmark import SkyRegime, make_sky, score
 from scope_models.correctors import (
     PLDCorrector,
     PLDFit,
@@ -438,6 +439,9 @@ def test_a_full_star_that_moves_reaches_the_noise(fake_star):
     corrector = PLDCorrector(replaced(target.tpf, FLUX=flux))
     corrector.correct(transit_mask=signal < 1)
     mask = corrector.aperture_mask
+    full = (flux > 1.75e5).any(axis=1).mean(axis=0) > 0.02
+    assert full.sum() == 3
+    assert mask[:, full].all()  # charge bleeds as far as it must
     expected = target.expected[:, mask].sum(axis=1)
     floor = 1 + target.noise[:, mask].sum(axis=1) / np.median(expected)
     for method in ("lightkurve", "everest"):
@@ -451,6 +455,18 @@ def test_a_full_star_that_moves_reaches_the_noise(fake_star):
     corrector.correct()
     lc = corrector.corrected_lc.flux.value
     assert 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1]) > 0.8e-3
+
+
+def test_a_full_star_keeps_a_bump():
+    """Its predicted fractions do not follow it."""
+    regime = SkyRegime("full", magnitude=11.0, scale=2.0, star="bump", period=3.0, amplitude=0.1)
+    sky = make_sky(regime, 5, n_cadences=1000)
+    found = {}
+    for fractions in ("auto", "measured"):
+        lc = PLDCorrector(sky.to_tpf()).correct(fractions=fractions)
+        found[fractions] = score(lc, sky)
+    assert found["auto"].full < 3
+    assert found["measured"].full > 2 * found["auto"].full
 
 
 def test_aperture(star):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from scope_models.pixelmodel._columns import Columns
 from scope_models.pixelmodel._position import Flow, precise_aperture
 from scope_models.pixelmodel._smoothing import Smoother
 from scope_models.pixelmodel._star import IMAGE_ERROR, fit_star
@@ -26,6 +27,11 @@ def image(x, y, sigma=SIGMA):
         return np.diff(cumulative, axis=1)
 
     return (axis(y)[:, :, None] * axis(x)[:, None, :]).reshape(len(x), -1)
+
+
+def pixels(grid):
+    """Return the pixels as `Columns` of which none is full."""
+    return Columns(grid, np.zeros(len(grid), dtype=bool))
 
 
 def motion(seed=1):
@@ -391,7 +397,7 @@ def test_light_that_a_wider_psf_loses_beside_the_stamp(wing):
     def light(scale):
         return 0.9 * image(x, y, scale * SIGMA) + 0.1 * image(x, y, scale * wing)
 
-    flow = Flow(GRID, np.ones(len(GRID), dtype=bool))
+    flow = Flow(pixels(GRID), np.ones(len(GRID), dtype=bool))
     lost = flow.lost(light(1.0), np.column_stack([x, y]))
     exact = (light(1 - 1e-3) - light(1 + 1e-3)).sum(axis=1) / 2e-3
     np.testing.assert_allclose(lost.mean(), exact.mean(), rtol=0.2)
@@ -403,7 +409,7 @@ def test_widening_of_a_column_of_pixels_does_not_depend_on_their_order():
     column = np.flatnonzero(GRID[:, 0] == 4)
     light, center = image(x, y, 1.5)[:, column], np.column_stack([x, y])
     lost = [
-        Flow(GRID[column[order]], np.ones(len(order), bool)).lost(light[:, order], center)
+        Flow(pixels(GRID[column[order]]), np.ones(len(order), bool)).lost(light[:, order], center)
         for order in (np.arange(len(column)), np.arange(len(column))[::-1])
     ]
     np.testing.assert_allclose(*lost, atol=1e-12)

@@ -1,0 +1,152 @@
+"""Full columns do not depend on what has bled."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from scope_models.effects._noise import bleed
+from scope_models.pixelmodel._columns import Columns, full_columns, without_saturation
+from scope_models.pixelmodel._star import fit_star
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+FULL = 0.2  # of the light
+
+
+def pixel_light(x, n, sigma=0.5):
+    edges = (np.arange(n + 1) - 0.5 - np.asarray(x)[..., None]) / sigma
+    return np.diff(ndtr(edges), axis=-1)
+
+
+def make_images(x, y, *, response=1.0, light=1.0, full=FULL, shape=(17, 13)):
+    """Images of a star at (x, y), and how they bleed."""
+    ny, nx = shape
+    rows = pixel_light(y, ny)[:, :, None]
+    images = light * rows * pixel_light(x, nx, 0.7)[:, None, :] * response
+    return images, bleed(images.copy(), full)
+
+
+@pytest.fixture
+def track():
+    """Positions that come to other columns and rows."""
+    t = np.arange(400)
+    x = 6 + 1.5 * np.sin(2 * np.pi * t / 97) + 0.1 * np.sin(t)
+    return x, 8 + 1.2 * np.sin(2 * np.pi * t / 61)
+
+
+def everything(images):
+    return np.ones(images.shape[1:], dtype=bool), np.ones(len(images), dtype=bool)
+
+
+def redrawn(images, saturation, aperture=None, use=None):
+    every, all_used = everything(images)
+    aperture, use = (every if aperture is None else aperture), (all_used if use is None else use)
+    full = full_columns(np.where(aperture, images, 0.0), use, saturation)
+    return without_saturation(images, aperture, full)
+
+
+def test_drawn_columns_follow_the_star(track):
+    x, y = track
+    images, bled = make_images(x, y)
+    drawn, rows = redrawn(bled, 0.9 * FULL), np.arange(17)
+    bright = images.sum(axis=1) > FULL
+    centers = [
+        np.einsum("ijk,j->ik", a, rows)[bright] / a.sum(axis=1)[bright]
+        for a in (images, drawn, bled)
+    ]
+    errors = [center - centers[0] for center in centers[1:]]
+    assert np.std(errors[0]) < 0.03
+    assert np.std(errors[1]) > 3 * np.std(errors[0])
+
+
+def test_full_columns_do_not_tell_the_brightness(track):
+    x, y = track
+    fractions = {}
+    for light in (1.0, 0.99):
+        _, bled = make_images(x, y, light=light)
+        raw = bled / bled.sum(axis=(1, 2), keepdims=True)
+        images = redrawn(bled, 0.9 * FULL)
+        np.testing.assert_allclose(images.sum(axis=1), bled.sum(axis=1), rtol=1e-9, atol=1e-12)
+        fractions[light] = images / images.sum(axis=(1, 2), keepdims=True), raw
+    drawn, raw = (np.abs(a - b).max() for a, b in zip(*fractions.values(), strict=True))
+    assert drawn < 5e-6
+    assert raw > 500 * drawn
+
+
+def test_columns_that_are_never_full_stay(track):
+    images, _ = make_images(*track)
+    aperture, _ = everything(images)
+    aperture[0, 0] = False
+    for saturation in (None, 1e9):
+        same = redrawn(images, saturation, aperture)
+        np.testing.assert_array_equal(same[:, 0, 0], 0)
+        np.testing.assert_array_equal(same[:, aperture], images[:, aperture])
+    some = redrawn(images, FULL, aperture)
+    np.testing.assert_array_equal(some[:, 1:, [0, 12]], images[:, 1:, [0, 12]])
+    assert np.any(some[:, :, 6] != images[:, :, 6])
+
+
+def test_cadences_that_are_not_used_do_not_count(track):
+    images, _ = make_images(*track, light=0.4)
+    use = np.ones(len(images), dtype=bool)
+    images[100:150] *= 10
+    use[100:150] = False
+    np.testing.assert_array_equal(redrawn(images, FULL, use=use), images)
+
+
+def test_all_columns_full():
+    """Where no column shows the row, no pixel of a column tells anything."""
+    y = 8 + np.linspace(-1, 1, 50)
+    images = pixel_light(y, 17)[:, :, None] * np.ones(3)
+    expected = np.repeat(images.sum(axis=1, keepdims=True) / 17, 17, axis=1)
+    np.testing.assert_allclose(redrawn(images, 0.1), expected, rtol=1e-12)
+
+
+def test_sums_of_columns():
+    """Full columns are one, the others stay; drawn again, the sums are the same."""
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(9)), axis=-1).reshape(-1, 2)
+    columns = Columns(grid, np.isin(grid[:, 0], [1, 2]))
+    cube = np.random.default_rng(1).uniform(1, 2, (5, 9, 4))
+    sums = columns.summed(cube.reshape(5, -1))
+    assert sums.shape == (5, 2 + 18)
+    for column in (1, 2):
+        here = ~columns.single & (columns.places[:, 0] == column)
+        np.testing.assert_allclose(sums[:, here][:, 0], cube[:, :, column].sum(axis=1))
+        np.testing.assert_array_equal(columns.places[here, 1], 4)
+    drawn = columns.drawn(sums).reshape(cube.shape)
+    np.testing.assert_array_equal(drawn[:, :, [0, 3]], cube[:, :, [0, 3]])
+    np.testing.assert_allclose(drawn.sum(axis=1), cube.sum(axis=1))
+    ratio = drawn[:, :, 1] / cube[:, :, [0, 3]].sum(axis=2)
+    np.testing.assert_allclose(ratio, np.repeat(ratio[:, :1], 9, axis=1))
+
+
+def test_light_of_a_star_with_full_columns():
+    """Sums of full columns follow position and brightness as pixels do, full pixels do not."""
+    rng = np.random.default_rng(3)
+    time = 0.02 * np.arange(600)
+    x = 6.1 + 0.4 * (time / 0.245 % 1 - 0.5) + 0.05 * np.sin(time)
+    y = 8.2 + 0.5 * (time / 0.245 % 1 - 0.5) ** 2 + 0.05 * np.cos(0.7 * time)
+    response = 1 + 0.02 * rng.normal(size=(17, 13))
+    signal = 1 + 0.02 * np.sin(2 * np.pi * time / 0.9)
+    images = make_images(x, y, response=response)[0] * signal[:, None, None]
+    images = 1e7 * bleed(images, FULL)
+    total = images.sum(axis=(1, 2))
+    true = images.sum(axis=1) / total[:, None]
+    error = np.sqrt(1e2 + images / 1600)
+    images += error * rng.normal(size=images.shape)
+    grid = np.stack(np.meshgrid(np.arange(13), np.arange(17)), axis=-1).reshape(-1, 2)
+    position = np.column_stack([x - x.mean(), y - y.mean()])
+    position += 0.003 * rng.normal(size=position.shape)
+    flux, error = images.reshape(600, -1), error.reshape(600, -1)
+    full = full_columns(images, np.ones(600, dtype=bool), 0.9 * FULL * 1e7)
+    assert 1 < full.sum() < 5
+    data = time, flux, error, position, grid, np.ones(len(grid), dtype=bool)
+    noise = np.sqrt((error**2).sum(axis=1)) / total
+    errors = []
+    for part in (full[grid[:, 0]], None):
+        model = fit_star(*data, full=part)
+        assert np.std((model.light / total - 1) / noise) < 1
+        columns = model.still.reshape(images.shape).sum(axis=1) - true
+        errors.append(np.std(columns - columns.mean(axis=0)) / np.median(noise))
+    assert errors[0] < 0.2  # 0.09, and 4.2
+    assert errors[1] > 1
