@@ -150,11 +150,9 @@ def _held_out(corrector):
 def _states(corrector, series):
     """Return background, fitted position and width; NaN where there is none."""
     n = len(series)
-    states = np.full((3, n), np.nan)
-    clean = getattr(getattr(corrector.result, "model", None), "clean", None)
-    if clean is not None:
-        usable = corrector.result.model.pixels.usable
-        states[:, usable] = *clean.position.T, clean.focus
+    states, model = np.full((3, n), np.nan), corrector.model
+    if model and model.clean:
+        states[:, model.pixels.usable] = *model.clean.position.T, model.clean.focus
     background = np.full(n, np.nan)
     if series.flux_bkg is not None:
         background = np.nansum(series.flux_bkg[:, corrector.aperture_mask], axis=1)
@@ -202,9 +200,8 @@ def _cards(corrector, survival):
             ("PLDNFIT", result.n_used, "cadences in the fit"),
             ("PLDNOUT", result.n_outliers, "cadences left out as outliers"),
             ("PLDNOISE", result.noise_scale, "white noise variance over FLUX_ERR^2"),
-            ("PLDLNL", getattr(result, "log_likelihood", None), "log marginal likelihood"),
-            ("PLDDOF", sum(getattr(result, "effective_parameters", ())),
-             "effective number of parameters"),
+            ("PLDLNL", result.log_likelihood, "log marginal likelihood"),
+            ("PLDDOF", sum(result.effective_parameters), "effective number of parameters"),
         ]  # fmt: skip
         if survival and np.isfinite(result.transit_survival):
             comment = "part of an unmasked transit that survives"

@@ -3,7 +3,6 @@
 import time as clock
 import warnings
 from dataclasses import dataclass
-from functools import reduce
 
 import astropy.units as u
 import numpy as np
@@ -15,7 +14,6 @@ from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_tpf
 from scope_models.photometry import cdpp
-from scope_models.pixelmodel._smoothing import TRANSIT
 
 __all__ = ["ComparisonResult", "compare_correctors"]
 
@@ -224,36 +222,19 @@ def _lightkurve(tpf, aperture, options):
 
 def _held_out(models, cadences):
     """Return how each corrector predicts windows of cadences, the same for all."""
-    found = {}
-    for name, model in models.items():
-        width = _width(model)
-        if cadences.sum() < 2 * width:
-            return {}
-        residual, error, used = model.held_out(width, cadences)
-        found[name] = used[::width][: len(residual)], residual, error
-    common = reduce(
-        np.intersect1d, (first for first, *_ in found.values()), np.arange(len(cadences))
-    )
-    parts = {
-        name: [v[np.isin(first, common)] for v in values]
-        for name, (first, *values) in found.items()
-    }
-    sizes = [np.abs(residual) for residual, _ in parts.values()]
-    largest = np.max([np.zeros(len(common)), *sizes], axis=0)
-    kept = np.argsort(largest)[: max(int(_KEPT_WINDOWS * len(common)), 1)]
+    width = max((model.result.window for model in models.values()), default=0)
+    if not models or cadences.sum() < 2 * width:
+        return {}
+    found = {name: model.held_out(width, cadences)[:2] for name, model in models.items()}
+    largest = np.max([np.abs(residual) for residual, _ in found.values()], axis=0)
+    kept = np.argsort(largest)[: max(int(_KEPT_WINDOWS * len(largest)), 1)]
     return {
         name: {
             "held_out": 1e6 * np.abs(residual[kept]).mean(),
             "held_out_pull": np.sqrt(np.mean((residual / error) ** 2)),
         }
-        for name, (residual, error) in parts.items()
+        for name, (residual, error) in found.items()
     }
-
-
-def _width(found):
-    """Return the number of cadences in 6.5 h."""
-    step = np.nanmedian(np.diff(found.original_lc.time.value))
-    return max(round(TRANSIT / step), 1)
 
 
 def _pass_on(caught, name):
