@@ -182,8 +182,8 @@ class PLDCorrector(LightkurveNames, Corrector):
             decisively better; measured ones if they do so at all (decisively, where the noise may
             be a walk of the star), the others leave more noise than FLUX_ERR may lack, and other
             light cannot make them follow the star by more than the noise of 6.5 h.
-            ``pld_aperture_mask``, background as a regressor, full pixels and fewer than 200
-            cadences or 4 pixels allow measured ones only.
+            ``pld_aperture_mask``, background as a regressor, fewer than 200 cadences or 4 pixels,
+            and a moving aperture over full pixels allow measured ones only.
         regressors : object or list, optional
             Further columns: arrays ``(n_cadences,)`` or ``(n_cadences, n)``, lightkurve's design
             matrices, its cotrending basis vectors, which are matched by their cadence numbers as

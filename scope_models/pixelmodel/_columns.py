@@ -8,19 +8,18 @@ import numpy as np
 
 __all__ = ["Columns", "full_columns", "without_saturation"]
 
-#: Branch: a column counts as full if it is in this part of the cadences, and in so many at least.
-_PART, _FEWEST = 0.01, 3
+#: Branch: a column that is full in more cadences than a cosmic ray may make so counts as full.
+_FEWEST = 3
 
 
 def full_columns(images, use, saturation):
-    """Return which columns of images are full in more than a few of the cadences in use.
+    """Return which columns of images are full in some of the cadences in use.
 
     The ``saturation`` is the flux of a full pixel or None.
     """
     if saturation is None:
         return np.zeros(images.shape[2], dtype=bool)
-    count = max(_FEWEST, round(_PART * use.sum()))
-    return (np.sum(images[use] > saturation, axis=0) >= count).any(axis=0)
+    return (np.sum(images[use] > saturation, axis=0) >= _FEWEST).any(axis=0)
 
 
 def without_saturation(images, aperture, full):
