@@ -37,15 +37,13 @@ _WIDTH_PRIOR = 0.2
 #: width changes the center of a Gaussian PSF by 2, its square by 3. The data give those of slow
 #: changes and of constant light; this is where they begin.
 _CHANGES = {"width": 2.0, "squared": 3.0, "slow": 1.0, "constant": 1.0}
-#: Tolerance: number of steps at most, and at least. The fit ends if the median steps of brightness,
-#: both positions and width are less than these parts of their errors.
-_MOST_STEPS, _FEWEST_STEPS, _SMALL_STEPS = 12, 4, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
+#: positions and width are less than these parts of their errors.
+_MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: number of steps once images may change slowly.
 _REFINEMENTS = 3
-#: Tolerance: steps after which widths have images of their own, and constant light counts.
-_LATE = 2
 #: Branch: time in days, and standard deviation of changes of the star within it above which
 #: constant light can be learned.
 _FAST, _STRONG = 0.25, 0.02
@@ -172,27 +170,27 @@ def _converged(stamp, states):
 
     If no light is seen that is constant beside a star that varies strongly, there is none.
     """
-    states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES), 0)
+    states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES))
     if states.variable.any():
         images = _images(stamp, states, shape, stamp.functions(states.position))
         if not _constant_light(stamp, images, shape.error):
             states = replace(states, variable=np.zeros_like(states.variable))
-            states, shape = _by_turns(stamp, states, shape, _LATE, alone=True)
+            states, shape = _by_turns(stamp, states, shape, alone=True)
     return stamp, states, shape
 
 
-def _by_turns(stamp, states, shape, first, *, alone=False):
-    """Fit images and cadences by turns from a step on, a star ``alone`` without constant light."""
-    for step in range(first, _MOST_STEPS):
+def _by_turns(stamp, states, shape, *, alone=False):
+    """Fit images and cadences by turns, a star ``alone`` without constant light."""
+    for _ in range(_MOST_STEPS):
         before, functions = states, stamp.functions(states.position)
-        shape = _fit_shape(stamp, states, shape, functions, late=step >= _LATE)
-        states, errors, shape = _fit_states(stamp, states, shape, functions, step, alone=alone)
+        shape = _fit_shape(stamp, states, shape, functions)
+        states, errors, shape = _fit_states(stamp, states, shape, functions, alone=alone)
         moved = [
             np.abs(new - old) / error
             for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
         ]
         small = (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all()
-        if small and step >= _FEWEST_STEPS - 1:
+        if small and shape.changes:
             break
     return states, shape
 
@@ -206,12 +204,11 @@ def _refined(stamp, states, shape, slow):
     focus, alone = states.focus, not states.variable.any()
     for _ in range(_REFINEMENTS):
         functions = stamp.functions(states.position)
-        shape = _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
-        steps = {"slow": slow, "alone": alone}
-        states, _, shape = _fit_states(stamp, states, shape, functions, _MOST_STEPS, **steps)
+        shape = _fit_shape(stamp, states, shape, functions, slow)
+        states, _, shape = _fit_states(stamp, states, shape, functions, slow, alone=alone)
         states = replace(states, focus=focus)
     functions = stamp.functions(states.position)
-    return states, _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
+    return states, _fit_shape(stamp, states, shape, functions, slow)
 
 
 def _slow_functions(stamp):
@@ -223,12 +220,15 @@ def _slow_functions(stamp):
     return (slow[:, :, None] * coarse[:, None]).reshape(len(x), -1)
 
 
-def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
-    """Fit the functions of position of all pixels at once: ridge regression."""
+def _fit_shape(stamp, states, shape, functions, slow=None):
+    """Fit the functions of position of all pixels at once: ridge regression.
+
+    Widths have images of their own once those of the star are known.
+    """
     _, basis, coarse = functions
     a, w = states.brightness[:, None], states.focus[:, None]
     parts, sizes = {}, dict(shape.sizes)
-    if late:
+    if len(shape.main):
         parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
         if slow is not None:
             parts["slow"] = a * slow
@@ -327,19 +327,19 @@ def _rest(stamp, states, images):
     return rest
 
 
-def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False):
+def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
     The focus has a smooth course, and all else is the most likely at this. Return the states, the
     errors of brightness, positions and focus, and the shape, in whose unit the focus is.
     """
-    images = _images(stamp, states, shape, functions, slow)
-    if "width" in shape.changes:
+    images, late = _images(stamp, states, shape, functions, slow), "width" in shape.changes
+    if late:
         states, shape, images = _with_unit(stamp, states, shape, images, functions[2])
     rest, use = _rest(stamp, states, images), stamp.use
     spread = 1.4826 * quantile(np.abs(rest[use].T))
     states = replace(states, variance=np.maximum(stamp.noise, spread**2))
-    if step > 0:
+    if late:
         states = replace(states, good=_without_hits(stamp, states, images, rest, shape.doubt))
     hessian, right = _normal_equations(stamp, states, images, rest)
     level = np.abs(states.plane[use, 0] - stamp.base[0])
@@ -365,7 +365,7 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
     brightness, position = states.brightness + change[0], states.position + change[1:3].T
     plane, variable = states.plane + change[4:].T, states.variable
-    if step >= _LATE and not alone:
+    if late and not alone:
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]
@@ -376,7 +376,7 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     brightness += shift[0]
     position += shift[1:3].T
     plane += shift[4:].T
-    plane, fluctuation = _background(stamp, plane, error[4:].T, late=step >= _LATE)
+    plane, fluctuation = _background(stamp, plane, error[4:].T, late=late)
     states = replace(
         states, brightness=brightness, position=position, focus=focus, variable=variable,
         plane=plane, fluctuation=fluctuation,
