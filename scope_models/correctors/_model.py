@@ -318,15 +318,24 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
             trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
             if trial and _gain(trial, fitted) > _DECISIVE:
                 fitted = other.fit(cadence_mask, **transit)
-            following = fitted.contrast_error * np.std(fitted.solution.y)
-            seen = following**2 > np.median(fitted.solution.variance) / fitted.window
             wrong, walk = fitted.solution.noise_is_outlier, fitted.solution.hyper.walk
-            if seen or not (wrong or walk):
+            if _may_follow(fitted) or not (wrong or walk):
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
             return other if _gain(other, fitted) > (0 if wrong else _DECISIVE) else fitted
         except ValueError:  # they cannot be fitted
             return fitted
+
+
+def _may_follow(fitted):
+    """Whether measured fractions may follow the star by more than the noise of 6.5 h.
+
+    Outliers are no variability of the star, but its dips are.
+    """
+    solution = fitted.solution
+    star = (fitted.used | fitted.dips)[fitted.model.pixels.usable]
+    change = fitted.contrast_error * np.std((solution.y - solution.systematics)[star])
+    return bool(change**2 > np.median(solution.variance) / fitted.window)
 
 
 def _check_enough(use):

@@ -11,7 +11,7 @@ from lightkurve import KeplerTargetPixelFile
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, _model
-from scope_models.correctors._model import PLDModel, Settings, _gain
+from scope_models.correctors._model import PLDModel, Settings, _gain, _may_follow
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
@@ -238,6 +238,32 @@ def test_fits_are_compared_on_the_same_windows():
     assert _gain(fit(wild), fit(1.5 * shared, 1.5)) > np.log(100)
     assert _gain(fit(shared, 1.0, [5, 6]), fit(shared, 1.0, [6, 7])) == 0
     assert [np.flatnonzero(~each).tolist() for each in seen[-2:]] == [[6], [6]]
+
+
+def test_what_measured_fractions_may_follow():
+    """Variability and dips of the star beside other light, not the roll or damaged cadences."""
+
+    def fit(contrast=0.03, trend=0.01, roll=0.0, damage=0.0, dip=0.0):
+        used, dips = np.ones((2, 1000), dtype=bool)
+        used[::50], dips[:] = False, False
+        used[500:520], dips[500:520] = False, dip > 0
+        t = np.arange(1000)
+        systematics = roll * np.sin(t / 3)
+        y = trend * np.sin(t / 100) + systematics
+        y[::50] += damage
+        y[500:520] -= dip
+        solution = SimpleNamespace(y=y, systematics=systematics, variance=np.full(1000, 1.3e-6))
+        model = SimpleNamespace(pixels=SimpleNamespace(usable=np.ones(1000, dtype=bool)))
+        return SimpleNamespace(
+            solution=solution, model=model, used=used, dips=dips, window=13, contrast_error=contrast
+        )
+
+    assert not _may_follow(fit())  # 2.1e-4, the noise of a window is 3.2e-4
+    assert not _may_follow(fit(roll=1.0))
+    assert not _may_follow(fit(damage=1.0))
+    assert _may_follow(fit(trend=0.02))
+    assert _may_follow(fit(contrast=0.06))
+    assert _may_follow(fit(dip=0.2))
 
 
 def test_predicted_fractions_follow_the_seeing_of_a_bright_star():
