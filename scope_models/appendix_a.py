@@ -11,7 +11,7 @@ import scope_models as sm
 from scope_models import _checks
 from scope_models._arrays import PER_PIXEL
 from scope_models._docstrings import documented
-from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
+from scope_models.effects._noise import fresh_seed, noise_terms, stream
 
 __all__ = ["Target", "generate_target"]
 
@@ -146,7 +146,7 @@ class Target:
             raise ValueError("`star` must have a position (x_0, y_0)")
         self.star, self.detector, self.motion = star, detector, motion
         self.neighbors, self.transits, self.noise = [], [], noise_terms(noise)
-        self.seed = fresh_seed() if seed is None else check_seed(seed)
+        self.seed = fresh_seed() if seed is None else _checks.checked_integer("seed", seed, 0)
         self._aperture, self._corrected, self._made = None, {}, {}
         _ = self.observation  # errors and warnings come here, not at the first look
 

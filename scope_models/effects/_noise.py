@@ -9,15 +9,16 @@ switching one effect off leaves the numbers of the others as they were.
 import secrets
 import zlib
 from collections.abc import Iterable
-from numbers import Integral
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
+from scope_models._checks import checked_integer
+
 __all__ = [
-    "NOISE_TERMS", "add_quantization", "bleed", "check_seed", "correlated", "fresh_seed",
-    "noise_terms", "poisson_counts", "poisson_quantile", "stream",
+    "NOISE_TERMS", "add_quantization", "bleed", "correlated", "fresh_seed", "noise_terms",
+    "poisson_counts", "poisson_quantile", "stream",
 ]  # fmt: skip
 
 NOISE_TERMS = ("photon", "background", "read", "quantization")
@@ -30,15 +31,6 @@ _SEARCH_BELOW = 30.0
 _LARGEST_DEVIATE = 7.5
 # A mean below _RARE gives a count only for a deviate above _RARE_DEVIATE.
 _RARE, _RARE_DEVIATE = 1e-3, 3.09
-
-
-def check_seed(seed):
-    """Return a valid seed, an integer that is not negative, as an `int`."""
-    if isinstance(seed, bool) or not isinstance(seed, Integral):
-        raise TypeError(f"`seed` must be an integer or None, got {seed!r}")
-    if seed < 0:
-        raise ValueError(f"`seed` must not be negative, got {seed}")
-    return int(seed)
 
 
 def fresh_seed():
@@ -63,7 +55,8 @@ def noise_terms(noise):
 
 def stream(seed, name):
     """Return the random generator of one named effect, independent of all others."""
-    sequence = np.random.SeedSequence(check_seed(seed), spawn_key=(zlib.crc32(name.encode()),))
+    seed, key = checked_integer("seed", seed, 0), zlib.crc32(name.encode())
+    sequence = np.random.SeedSequence(seed, spawn_key=(key,))
     return np.random.Generator(np.random.SFC64(sequence))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scope_models._arrays import PER_PIXEL, TIME_ZEROS, plain_time
 from scope_models._checks import check_fields, checked_choice, checked_integer, number
 from scope_models._values import Value
-from scope_models.effects._noise import check_seed, correlated, fresh_seed, stream
+from scope_models.effects._noise import correlated, fresh_seed, stream
 from scope_models.missions import MISSIONS
 
 __all__ = [
@@ -60,7 +60,7 @@ def first_time(start, time_format):
 def generate(pointing, n_cadences, days, start, seed, mission, **options):
     """Return the fields of the motion of a pointing, with this time between cadences."""
     name, zero = type(pointing).__name__, mission.time_format
-    seed = fresh_seed() if seed is None else check_seed(seed)
+    seed = fresh_seed() if seed is None else checked_integer("seed", seed, 0)
     streams = f"{pointing.stream_name or name} "
     time = pointing.times(checked_integer("n_cadences", n_cadences, 1), days)
     x, y, flags = pointing.track(time, lambda part: stream(seed, streams + part), **options)

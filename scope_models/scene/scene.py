@@ -11,7 +11,7 @@ from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
 from scope_models.effects import Effect, mission_effects
-from scope_models.effects._noise import check_seed, noise_terms
+from scope_models.effects._noise import noise_terms
 from scope_models.effects.base import checked_several
 from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
@@ -97,7 +97,7 @@ class Scene(Value):
     detector: Detector
     motion: Motion
     _: KW_ONLY
-    seed: int | None = None
+    seed: int | None = integer(None, 0)
     noise: frozenset = True
     n_sub: int = integer(1, 1)
     effects: tuple[Effect, ...] = ()
@@ -119,7 +119,6 @@ class Scene(Value):
         for name, kind in (("detector", Detector), ("motion", Motion)):
             if not isinstance(getattr(self, name), kind):
                 raise TypeError(f"`{name}` must be a {kind.__name__}, got {getattr(self, name)!r}")
-        put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
         check_fields(self)
         own = isinstance(self.effects, str) and self.effects == "mission"

@@ -269,7 +269,7 @@ ERRORS = {
     "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
     "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),
     "depth": (["--period", "1", "--depth", "2"], "`depth` must be between 0 and 1"),
-    "seed": (["--seed", "-1"], "`seed` must not be negative"),
+    "seed": (["--seed", "-1"], "`seed` must be at least 0"),
     "scale": (["--detector", "tess", "--scale", "2"], "--scale needs --motion FILE"),
 }
 

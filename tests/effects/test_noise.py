@@ -8,7 +8,6 @@ from scope_models import Detector, Motion, Star, simulate
 from scope_models.effects._noise import (
     NOISE_TERMS,
     add_quantization,
-    check_seed,
     fresh_seed,
     noise_terms,
     poisson_counts,
@@ -35,15 +34,15 @@ def test_streams_do_not_depend_on_the_length_of_the_pieces():
 @pytest.mark.parametrize(
     "seed, error, message",
     [
-        (-1, ValueError, "`seed` must not be negative, got -1"),
-        (1.5, TypeError, r"`seed` must be an integer or None, got 1\.5"),
+        (-1, ValueError, "`seed` must be at least 0, got -1"),
+        (1.5, TypeError, r"`seed` must be an integer, got 1\.5"),
         (True, TypeError, "`seed` must be an integer"),
         ("1", TypeError, "`seed` must be an integer"),
     ],
 )
 def test_bad_seeds(seed, error, message):
     with pytest.raises(error, match=message):
-        check_seed(seed)
+        stream(seed, "read")
 
 
 def test_fresh_seeds_differ():
