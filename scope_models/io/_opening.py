@@ -20,7 +20,7 @@ from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
     "MOST", "NO_FACTS", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
-    "first_table", "making", "naming", "open_fits", "read_columns", "read_positions", "read_table",
+    "first_table", "making", "naming", "open_fits", "read_positions", "read_table",
     "time_format_of",
 ]  # fmt: skip
 
@@ -191,28 +191,20 @@ def checksum_of(data, start=0):
     return total
 
 
-def read_columns(path, required, optional=()):
-    """Return columns of numbers, by upper-case name, of a file's first table, and its cards.
-
-    Floats are float64, integers keep their type.
-    """
+def read_positions(path):
+    """Return arguments of `Motion.from_arrays`, unchecked, of a file; None for what it lacks."""
     with open_fits(path) as hdus:
         table = first_table(hdus, path)
         present = [name.upper() for name in table.columns.names]
-        missing = [name for name in required if name.upper() not in present]
+        missing = [name for name in _POSITIONS if name not in present]
         if missing:
             lacks, has = " or ".join(missing), ", ".join(present) or "none"
             raise RefusedError(f"{path} has no column {lacks} in its first table; it has {has}")
-        names = [name.upper() for name in (*required, *optional) if name.upper() in present]
-        columns = {name: column_of(table, name, path) for name in names}
+        wanted = (*_POSITIONS, "QUALITY", "SAP_QUALITY", "CADENCENO")
+        columns = {name: column_of(table, name, path) for name in wanted if name in present}
         if len(table.data) == 0:
             raise RefusedError(f"{path} has no rows in its first table")
-        return columns, cards_of(hdus[0].header, table.header)
-
-
-def read_positions(path):
-    """Return arguments of `Motion.from_arrays`, unchecked, of a file; None for what it lacks."""
-    columns, header = read_columns(path, _POSITIONS, ("QUALITY", "SAP_QUALITY", "CADENCENO"))
+        header = cards_of(hdus[0].header, table.header)
     time, x, y = (columns[name].astype(float) for name in _POSITIONS)
     number = columns.get("CADENCENO")
     if number is not None and not number.any():  # TESScut's files have only zeros

@@ -29,7 +29,7 @@ from scope_models.exceptions import DamagedFileWarning, LostLightWarning
 from scope_models.fitting import TPFFit
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._light_curves import make_light_curve_hdulist
-from scope_models.io._opening import read_columns, read_positions
+from scope_models.io._opening import read_positions
 
 LARGEST_MEMORY = 200e6  # bytes that a call may add to the process; the files have up to 0.3 MB
 LONGEST_TIME = 20  # seconds per call
@@ -325,7 +325,6 @@ READERS = {
     "read_tpf": read_tpf,
     "read_positions": read_positions,
     "Motion.from_file": Motion.from_file,
-    "read_columns": lambda path: read_columns(path, ["TIME"]),
     "read_truth": read_truth,
     "read_scene": read_scene,
     "TPFFit.read": TPFFit.read,
