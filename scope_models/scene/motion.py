@@ -156,8 +156,6 @@ class Motion(Value):
 
     def __getitem__(self, item):
         if isinstance(item, Integral) and not isinstance(item, bool | np.bool_):
-            if not -len(self) <= item < len(self):
-                raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
             item = [item]
         names = dict.fromkeys((*_COLUMNS, *self.offsets_of, *self.errors_of))
         return self.replace(**{name: getattr(self, name)[item] for name in names})

@@ -321,7 +321,7 @@ def test_masks_and_wrong_indices(motion):
     assert np.array_equal(motion[mask].x, motion.x[mask])
     with pytest.raises(IndexError, match="boolean index did not match"):
         motion[mask[:-1]]
-    with pytest.raises(IndexError, match="cadence 200 is out of range for 200 cadences"):
+    with pytest.raises(IndexError, match="index 200 is out of bounds"):
         motion[200]
     with pytest.raises(ValueError, match="`time` is empty"):
         motion[5:5]
