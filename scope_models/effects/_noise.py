@@ -71,9 +71,9 @@ def correlated(generator, n, correlation):
 def poisson_quantile(deviate, mean):
     r"""Return Poisson counts at the probability of standard normal deviates.
 
-    For deviates :math:`w` that follow a standard normal distribution, the counts follow a Poisson
-    distribution. A mean :math:`\lambda` of 30 or more uses the asymptotic inverse of its
-    cumulative distribution function [1]_, the integer part of
+    For a deviate :math:`w`, a mean :math:`\lambda` of 30 or more uses the asymptotic inverse of the
+    cumulative distribution function (Giles 2016, ACM Transactions on Mathematical Software, 42, 7,
+    Algorithm 955), the integer part of
 
     .. math::
 
@@ -84,10 +84,6 @@ def poisson_quantile(deviate, mean):
     which differs from the exact inverse, by one count, with a probability of 7e-5 at
     :math:`\lambda = 30`, 9e-6 at 100 and less than 2e-8 above 1000. Smaller means are searched
     for the exact quantile.
-
-    References
-    ----------
-    .. [1] Giles, M. B. 2016, ACM Transactions on Mathematical Software, 42, 7 (Algorithm 955).
     """
     deviate, mean = np.asarray(deviate, dtype=float), np.asarray(mean, dtype=float)
     shape = np.broadcast_shapes(deviate.shape, mean.shape)

@@ -288,13 +288,9 @@ class NightSky(AirEffect, SkyEffect):
     }
 
     def draw(self, conditions, generator):
-        values = {name: getattr(self, name) for name in self.by_cadence}
-        series = {name: series_of(v, conditions.time, name) for name, v in values.items()}
-        factor = self._relative_brightness(**series)
-        return self._drawn(conditions, conditions.background * (factor - 1))
-
-    def _relative_brightness(self, airmass, moon_altitude, moon_separation, moon_phase):
-        """Return the brightness of the sky relative to the dark sky at the zenith."""
+        airmass, moon_altitude, moon_separation, moon_phase = (
+            series_of(getattr(self, name), conditions.time, name) for name in self.by_cadence
+        )
         k = self.extinction
         dark = airmass * 10 ** (-0.4 * k * (airmass - 1))
         zenith = 34.08 * np.exp(20.7233 - 0.92104 * self.dark_sky)
@@ -303,4 +299,5 @@ class NightSky(AirEffect, SkyEffect):
         moon = 10 ** (-0.4 * (3.84 + 0.026 * moon_phase + 4e-9 * moon_phase**4))
         path = (1 - 0.96 * np.cos(np.radians(moon_altitude)) ** 2) ** -0.5
         light = scattering * moon * 10 ** (-0.4 * k * path) * (1 - 10 ** (-0.4 * k * airmass))
-        return dark + np.where(moon_altitude > 0, light, 0.0) / zenith
+        factor = dark + np.where(moon_altitude > 0, light, 0.0) / zenith
+        return self._drawn(conditions, conditions.background * (factor - 1))

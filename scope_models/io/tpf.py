@@ -310,14 +310,8 @@ def make_tpf_hdulist(
         Cosmic rays that were taken out, e-/s; NaN where there were none.
     aperture : array_like of bool or int, shape (ny, nx), optional
         The optimal aperture; or bits, 1 for collected and 2 for optimal. By default all are 1.
-    truth_columns : dict of str to array_like of shape (n, ...), optional
-        True values at each cadence, for the TRUTH table.
-    truth_maps : dict of str to array_like of shape (ny, nx), optional
-        Images, each one an extension of its name.
-    scene : dict, optional
-        What can be text in JSON, for the SCENE table.
-    truth_tables : dict of str to astropy.table.Table, optional
-        Lists of any length, each one an extension of its name.
+    truth_columns, truth_maps, scene, truth_tables : dict, optional
+        Columns without CADENCENO, maps, scene and tables of a `~scope_models.io.Truth`.
     simulated : bool, optional
         What the cards SIMDATA of the file are.
 
