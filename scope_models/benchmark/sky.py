@@ -106,12 +106,6 @@ class MessyStar(Value):
         -------
         float
             Median over cadences of photon, background and read noise over starlight in `aperture`.
-
-        Examples
-        --------
-        >>> from scope_models.benchmark import make_sky
-        >>> f"{make_sky('k2-1x-kp14', seed=1, n_cadences=100).floor():.4f}"
-        '0.0002'
         """
         mask, here = self.aperture, np.isfinite(self.x)
         noise = np.sqrt((self.noise[here][:, mask] ** 2).sum(axis=1))
