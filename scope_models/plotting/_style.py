@@ -13,8 +13,8 @@ from scope_models._arrays import plain_array
 from scope_models._docstrings import documented
 
 __all__ = [
-    "DARK", "FLUX", "GRAY", "LIGHT", "STYLE", "check_figure_format", "given_or_new", "label_pixels",
-    "label_places", "legend_above", "mark_outside", "save_figure", "scale_to", "styled",
+    "DARK", "FLUX", "GRAY", "LIGHT", "STYLE", "check_figure_format", "given_or_new", "label_places",
+    "legend_above", "mark_outside", "save_figure", "scale_to", "show_image", "styled",
 ]  # fmt: skip
 
 STYLE = "scope_models.plotting.scope_models"
@@ -55,8 +55,11 @@ def given_or_new(ax, width, height):
     return plt.subplots(figsize=(width, height), layout="constrained")[1] if ax is None else ax
 
 
-def label_pixels(ax, title):
+def show_image(ax, image, title, label=None, *, cmap="viridis", **options):
+    """Draw an image of pixels and, if it has a label, its color bar, which is returned."""
+    shown = ax.imshow(image, origin="lower", cmap=cmap, **options)
     ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
+    return None if label is None else ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
 
 
 def legend_above(ax, **options):

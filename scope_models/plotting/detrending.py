@@ -143,10 +143,8 @@ def plot_detrending_masks(image, aperture, scatter):
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
-        drawn = ax.imshow(values, origin="lower", cmap="cividis")
-        ax.figure.colorbar(drawn, ax=ax)
+        _style.show_image(ax, values, title, "", cmap="cividis")
         draw_outline(ax, aperture)
-        _style.label_pixels(ax, title)
     return axes
 
 
@@ -196,10 +194,10 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
         ax, leak = axes[f"leak, {name}"], 100 * plain_array(image, u.one, "leaks")
         most = np.nanmax(np.abs(leak))
         most = most if most > 1e-9 else 1.0  # less is rounded
-        shown = ax.imshow(leak, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most)
-        figure.colorbar(shown, ax=ax, label="Light (%)")
+        scale = {"cmap": "RdBu_r", "vmin": -most, "vmax": most}
+        _style.show_image(ax, leak, "", "Light (%)", **scale)
         draw_outline(ax, aperture)
-        ax.set(xlabel="Column (pixel)" if name == list(leaks)[-1] else "", ylabel="Row (pixel)")
+        ax.set_xlabel("Column (pixel)" if name == list(leaks)[-1] else "")
     axes[f"leak, {next(iter(leaks))}"].set_title("Light that one standard deviation moves")
     return axes
 

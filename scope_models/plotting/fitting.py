@@ -7,7 +7,7 @@ from matplotlib.colors import AsinhNorm, LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from scope_models._arrays import plain_array
-from scope_models.plotting._style import FLUX, label_pixels, mark_outside, scale_to, styled
+from scope_models.plotting._style import FLUX, mark_outside, scale_to, show_image, styled
 
 __all__ = ["plot_fit", "plot_twin"]
 
@@ -81,7 +81,8 @@ def plot_fit(
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
         title = f"Chi-squared, median {np.nanmedian(chi2):.3g}"
-        _write_numbers(_show(axes["chi2"], chi2, title, "Per degree of freedom", norm=LogNorm()))
+        bar = show_image(axes["chi2"], chi2, title, "Per degree of freedom", norm=LogNorm())
+        _write_numbers(bar)
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     elif flux is not None:
@@ -92,14 +93,14 @@ def plot_fit(
 def _draw_images(axes, data, model, residual):
     top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
-    _show(axes["data"], data, _TITLES["data"], norm=light)
-    bar = _show(axes["model"], model, _TITLES["model"], FLUX, norm=light)
+    show_image(axes["data"], data, _TITLES["data"], norm=light)
+    bar = show_image(axes["model"], model, _TITLES["model"], FLUX, norm=light)
     ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
     bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
     bar.minorticks_off()
     title = f"{_TITLES['residual']}, to {100 * largest / top:.2g} %"
     scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
-    _show(axes["residual"], residual, title, FLUX, **scale)
+    show_image(axes["residual"], residual, title, FLUX, **scale)
 
 
 def _write_numbers(bar):
@@ -108,16 +109,9 @@ def _write_numbers(bar):
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _show(ax, image, title, label=None, *, cmap="viridis", **options):
-    """Draw an image of pixels and, if it has a label, its color bar, which is returned."""
-    shown = ax.imshow(image, origin="lower", cmap=cmap, **options)
-    label_pixels(ax, title)
-    return ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85) if label else None
-
-
 def _draw_psf(ax, psf, extent, width):
     title, norm = "PSF" if width is None else f"PSF, {width}", AsinhNorm(_LINEAR, 0, 1)
-    bar = _show(ax, psf, title, "Relative density", extent=extent, norm=norm)
+    bar = show_image(ax, psf, title, "Relative density", extent=extent, norm=norm)
     ax.set(xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
     bar.set_ticks([0, _LINEAR, 0.1, 1], labels=["0", f"{_LINEAR}", "0.1", "1"])
     bar.minorticks_off()
@@ -136,7 +130,7 @@ def _draw_flux(ax, time, flux, label):
 def _draw_positions(ax, x, y, pos_corr):
     if pos_corr is None:
         ax.plot(x, y, "k.", ms=2)
-        label_pixels(ax, "Positions")
+        ax.set(title="Positions", xlabel="Column (pixel)", ylabel="Row (pixel)")
         return
     path = pos_corr - np.median(pos_corr, axis=0)
     ax.plot(path[:, 0], x - np.median(x), "k.", ms=2, label="column")
@@ -210,5 +204,5 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     norm = LogNorm(*(f([f(image[image > 0]) for image in residuals]) for f in (np.min, np.max)))
     for name, image in zip(("real", "twin"), residuals, strict=True):
         title, label = name.replace("real", "star").capitalize(), "Scatter of residuals (errors)"
-        _write_numbers(_show(axes[name], image, title, label, norm=norm))
+        _write_numbers(show_image(axes[name], image, title, label, norm=norm))
     return axes

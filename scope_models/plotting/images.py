@@ -42,7 +42,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     if log:
         top = np.nanmax(image)
         norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
-    ax = _draw_image(image, 1, FLUX, title, ax, cmap="viridis", norm=norm)
+    ax = _draw_image(image, 1, FLUX, title, ax, norm=norm)
     draw_outline(ax, aperture)
     return ax
 
@@ -91,7 +91,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     'PSF on the detector'
     """
     label = "Flux density (e$^-$ s$^{-1}$ pixel$^{-2}$)"
-    return _draw_image(psf, oversample, label, title, ax, cmap="viridis")
+    return _draw_image(psf, oversample, label, title, ax)
 
 
 @styled
@@ -277,10 +277,8 @@ def _draw_image(image, oversample, label, title, ax, **kwargs):
     ax = _style.given_or_new(ax, 5, 4.2)
     ny, nx = (size / oversample for size in image.shape)
     extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
-    shown = ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", **kwargs)
+    _style.show_image(ax, image, title, label, extent=extent, interpolation="nearest", **kwargs)
     _pixel_axes(ax, extent[:2], extent[2:])
-    ax.set_title(title)
-    ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
     return ax
 
 
