@@ -29,7 +29,6 @@ def run(arguments):
     import numpy as np
     from tqdm import tqdm
 
-    from scope_models.correctors._files import make_lightcurve_hdulist
     from scope_models.io._atomic import atomic_path, check_output
 
     folder = Path(arguments.output_dir)
@@ -37,20 +36,16 @@ def run(arguments):
     folder.mkdir(parents=True, exist_ok=True)
     for path in paths:
         check_output(path, overwrite=arguments.overwrite)
-    with tqdm(total=4, leave=False, disable=None) as bar:
+    with tqdm(total=3, leave=False, disable=None) as bar:
         bar.set_description("simulating")
         motion = 2 * sm.Motion.k2_roll()
         observation = _observe(motion, arguments.seed)
         still = _observe(motion * 0, arguments.seed)
+        observation.write(paths[0], overwrite=arguments.overwrite)
         bar.update()
         bar.set_description("correcting")
-        corrector = sm.correctors.PLDCorrector(observation.to_tpf())
-        corrected, aperture = corrector.correct(), corrector.aperture_mask
-        bar.update()
-        bar.set_description("writing")
-        observation.write(paths[0], overwrite=arguments.overwrite)
-        hdus = make_lightcurve_hdulist(corrector)
-        sm.io.tpf.write_hdulist(hdus, paths[1], overwrite=arguments.overwrite)
+        corrector = sm.correctors.detrend_file(*paths[:2], overwrite=arguments.overwrite)
+        corrected, aperture = corrector.corrected_lc, corrector.aperture_mask
         bar.update()
         bar.set_description("drawing")
         title = f"A star of magnitude {_MAGNITUDE:g} with spots and a planet, at twice K2's motion"
