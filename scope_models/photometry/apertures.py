@@ -7,7 +7,7 @@ quantities that convert.
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_array, plain_number
+from scope_models._arrays import PER_PIXEL, plain_array
 from scope_models._checks import checked_integer, checked_mask, checked_number, checked_shape
 
 __all__ = [
@@ -169,9 +169,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     """
     target = _images(target, "target")
     neighbors = _images(neighbors, "neighbors", target.shape[1:])
-    min_fraction = plain_number(min_fraction, u.one, "min_fraction")
-    if not 0 <= min_fraction <= 1:
-        raise ValueError(f"`min_fraction` must be between 0 and 1, got {min_fraction}")
+    min_fraction = checked_number("min_fraction", min_fraction, at_most=1)
     light, other = np.mean(target, axis=0), np.mean(neighbors, axis=0)
     mask = threshold_aperture(target, threshold) & (light >= min_fraction * (light + other))
     return _not_empty(mask, "neighbors dominate every pixel of the target")
@@ -213,9 +211,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     x_0 = checked_number("x_0", x_0, u.pix, any_sign=True)
     y_0 = checked_number("y_0", y_0, u.pix, any_sign=True)
     radius = checked_number("radius", radius, u.pix, positive=True)
-    min_overlap = plain_number(min_overlap, u.one, "min_overlap")
-    if not 0 < min_overlap <= 1:
-        raise ValueError(f"`min_overlap` must be above 0 and at most 1, got {min_overlap}")
+    min_overlap = checked_number("min_overlap", min_overlap, positive=True, at_most=1)
     overlap = CircularAperture((x_0, y_0), radius).to_mask(method="exact").to_image(shape)
     if overlap is None:
         overlap = np.zeros(shape)

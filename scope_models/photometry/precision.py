@@ -84,10 +84,7 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     23 26
     """
     checked_choice("method", method, _FILTER_CADENCES)
-    time, flux = _series(lc_or_flux)
-    days = _cadence_days(time, cadence)
-    if time is None:
-        time = np.arange(flux.shape[-1]) * days
+    time, flux, days = _series(lc_or_flux, cadence)
     hours = checked_number("duration", duration, u.hour, positive=True)
     width = round(hours / 24 / days)
     if width < 1:
@@ -110,29 +107,24 @@ def noise_of(lc_or_flux, method="lightkurve"):
         return np.nan
 
 
-def _series(lc_or_flux):
-    """Return time (days or None) and flux as plain float arrays, masked values as NaN."""
+def _series(lc_or_flux, cadence):
+    """Return times, fluxes and the time between cadences as plain floats, masked values as NaN."""
     if hasattr(lc_or_flux, "flux") and hasattr(lc_or_flux, "time"):
         time = lc_or_flux.time
         time = plain_array(time.value if isinstance(time, Time) else time, u.day, "time")
         flux = plain_array(lc_or_flux.flux, None, "flux")
     else:
         time, flux = None, plain_array(lc_or_flux, None, "lc_or_flux")
+        cadence = LONG_CADENCE if cadence is None else cadence
     if flux.ndim not in (1, 2):
         raise ValueError(f"`lc_or_flux` must have one or two dimensions, got shape {flux.shape}")
-    return time, flux
-
-
-def _cadence_days(time, cadence):
     if cadence is None:
-        if time is None:
-            return LONG_CADENCE.to_value(u.day)
         steps = np.diff(time[np.isfinite(time)])
-        cadence = np.median(steps) if len(steps) else np.nan
-        if not cadence > 0:
+        if not (len(steps) and np.median(steps) > 0):
             raise ValueError("`cadence` cannot be derived from the times, which must increase")
-        return cadence
-    return checked_number("cadence", cadence, u.day, positive=True)
+        cadence = np.median(steps)
+    days = checked_number("cadence", cadence, u.day, positive=True)
+    return np.arange(flux.shape[-1]) * days if time is None else time, flux, days
 
 
 def _estimate(estimator, time, flux, width, filter_window):

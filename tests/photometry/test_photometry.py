@@ -309,11 +309,14 @@ IMAGE = np.ones((3, 3))
         (lambda: contamination_aperture(IMAGE, np.ones((2, 2))), r"must have \(3, 3\) pixels"),
         (
             lambda: contamination_aperture(IMAGE, IMAGE, min_fraction=2),
-            "`min_fraction` must be between 0 and 1, got 2",
+            "`min_fraction` must not be above 1, got 2",
         ),
         (lambda: circular_aperture((3, 3), 1, 1, 0), "`radius` must be positive, got 0"),
         (lambda: circular_aperture((3, 3), 10, 1, 1), "no pixel of"),
-        (lambda: circular_aperture((3, 3), 1, 1, 1, min_overlap=0), "`min_overlap` must be above"),
+        (
+            lambda: circular_aperture((3, 3), 1, 1, 1, min_overlap=0),
+            "`min_overlap` must be positive",
+        ),
         (lambda: crowding(IMAGE, None, IMAGE), "`aperture` must be a boolean mask"),
         (lambda: crowding(IMAGE, None, IMAGE > 1), "`aperture` has no pixels"),
         (lambda: crowding(0 * IMAGE, None, IMAGE > 0), "`target` has no light in `aperture`"),
