@@ -133,12 +133,12 @@ class Store:
                 ) from None
             if code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}:
                 raise ValueError(f"{self._path} is damaged: choose another directory") from error
-            number = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
-            raise _numbered(
-                OSError, number,
+            failure = OSError(  # its text would begin with a number given here
                 f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
-                f"and the same call resumes there: the reason is: {error}",
-            ) from error  # fmt: skip
+                f"and the same call resumes there: the reason is: {error}"
+            )
+            failure.errno = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
+            raise failure from error
 
 
 def read_records(directory):
@@ -170,7 +170,7 @@ def _file_in(directory):
         raise NotADirectoryError(f"cannot write to {directory}: it is a file") from None
     except OSError as error:
         message = f"cannot make the folder {directory}: {error.strerror or error}"
-        raise _numbered(type(error), error.errno, message) from error
+        raise type(error)(message) from error
     path = directory / FILE
     for name in () if path.exists() else _OUTPUTS:
         if (directory / name).exists():
@@ -188,13 +188,6 @@ def listed(names):
 
 def _code_of(error):
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
-
-
-def _numbered(kind, number, message):
-    """Return an OSError with a number that its message does not begin with."""
-    error = kind(message)
-    error.errno = number
-    return error
 
 
 def _shown(name, values):

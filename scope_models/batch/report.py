@@ -127,10 +127,9 @@ def _noise(table):
     stars = {name: without_unit(table[column]) for name, column in columns.items()}
     is_k2 = bool(np.any(table["mission"] == "K2"))
     figure = plot_precision(stars, _PUBLISHED if is_k2 else None, convention="EVEREST")
-    parts = ["<h2>Noise</h2>", _image(figure, "Noise against magnitude"), _note(_CONVENTION)]
-    if is_k2:
-        parts.append(_note(_SOURCES))
-    return "".join(parts)
+    note = f"{_CONVENTION} {_SOURCES}" if is_k2 else _CONVENTION
+    image = _image(figure, "Noise against magnitude")
+    return f'<h2>Noise</h2>{image}<p class="note">{note}</p>'
 
 
 def _outliers(folder, table):
@@ -206,7 +205,3 @@ def _image(figure, caption):
         f'<figure><img src="data:image/png;base64,{data}" alt="{text}">'
         f"<figcaption>{text}</figcaption></figure>"
     )
-
-
-def _note(text):
-    return f'<p class="note">{html.escape(text)}</p>'
