@@ -18,17 +18,13 @@ from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
 from scope_models.batch._store import listed
 
-__all__ = ["LostWorkersError", "check_client", "checked_tasks", "computed"]
+__all__ = ["check_client", "checked_tasks", "computed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
 _POLL = 5.0  # seconds between two checks of the connection to a scheduler
 _ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
 _WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
-
-
-class LostWorkersError(Exception):
-    """The workers, or the scheduler that gives them work, are lost."""
 
 
 def _measured(measure, tasks):
@@ -105,6 +101,7 @@ def computed(client, measure, tasks, chunk_size, in_flight):
     """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
 
     Stars whose process died are computed again one at a time: only the one that kills it fails.
+    A BrokenExecutor is raised if the workers, or their scheduler, are lost.
     """
     job = partial(_measured, measure)
     if client is None:
@@ -166,7 +163,7 @@ def _completed(client, job, chunks, in_flight):
             future.cancel()
     if lost:
         keys = listed(sorted(task["key"] for task in lost))
-        raise LostWorkersError(f"the workers are lost, with {len(lost)} stars in flight ({keys})")
+        raise BrokenExecutor(f"the workers are lost, with {len(lost)} stars in flight ({keys})")
 
 
 @contextmanager
@@ -198,7 +195,7 @@ def _dask_client(where):
                 security=Security.temporary(),
             )  # fmt: skip
         except RuntimeError as error:
-            raise LostWorkersError(
+            raise BrokenExecutor(
                 "worker processes die at their start; see their message; a script must start its "
                 'work under `if __name__ == "__main__":`'
             ) from error

@@ -94,12 +94,10 @@ def detrend_files(
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models import generate_target
     >>> from scope_models.batch import detrend_files
-    >>> motion = Motion.k2_roll(300)
     >>> paths = [
-    ...     simulate(Star(mag), Detector.k2(shape=(9, 9)), motion, seed=1).write(f"kp{mag}.fits")
-    ...     for mag in (11, 12)]
+    ...     generate_target(mag, ncadences=300, seed=1).write(f"kp{mag}.fits") for mag in (11, 12)]
     >>> result = detrend_files(paths, "corrected", order=1, sweep={"progress": False})
     >>> [path.name for path in sorted(result.files[0].parent.glob("*.fits"))]
     ['kp11-lc.fits', 'kp12-lc.fits']
@@ -159,10 +157,9 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models import generate_target
     >>> from scope_models.batch import fit_files
-    >>> detector = Detector.k2(shape=(7, 7))
-    >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("star.fits")
+    >>> path = generate_target(11, ncadences=100, seed=1).write("star.fits")
     >>> result = fit_files([path], "fits", psf=1, sweep={"progress": False})
     >>> result.table["n_cadences"].tolist()
     [95]
@@ -207,10 +204,9 @@ def inject_files(
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models import generate_target
     >>> from scope_models.batch import inject_files
-    >>> detector = Detector.k2(shape=(9, 9))
-    >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("one.fits")
+    >>> path = generate_target(11, ncadences=100, seed=1).write("one.fits")
     >>> planet = {"period": [1.0], "t0": [2145.0], "depth": [0.01], "duration": [0.2]}
     >>> result = inject_files([path], planet, "injected", sweep={"progress": False})
     >>> result.table["injected_depth"].round(4).tolist()
@@ -255,10 +251,9 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models import generate_target
     >>> from scope_models.batch import inject_file
-    >>> detector = Detector.k2(shape=(9, 9))
-    >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("two.fits")
+    >>> path = generate_target(11, ncadences=100, seed=1).write("two.fits")
     >>> planet = {"period": 1.0, "t0": 2145.0, "depth": 0.01, "duration": 0.2}
     >>> round(inject_file(path, planet, "planet.fits")["injected_depth"], 3)
     0.01

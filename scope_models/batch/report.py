@@ -89,7 +89,8 @@ def write_report(folder, output=None):
     parts = [_summary(table, failures)]
     if np.isfinite(values_of(table, "cdpp_everest")).any():
         parts += [_noise(table), _outliers(folder, table)]
-    warned = [(row["key"], row["warnings"], "") for row in table if _text(row, "warnings")]
+    rows = table if "warnings" in table.colnames else ()
+    warned = [(row["key"], row["warnings"], "") for row in rows if row["warnings"]]
     failed = [(row["task"]["key"], row["error"], row["traceback"]) for row in failures]
     parts += [_causes("Failures", failed), _causes("Warnings", warned)]
     title = f"Run of {html.escape(folder.absolute().name)}"
@@ -148,7 +149,7 @@ def _outliers(folder, table):
             f"{row['object'] or row['key']} ({row['key']}): magnitude {mag[n]:.1f}, noise "
             f"{noise[n]:.0f} ppm, {excess[n]:.1f} times the median of stars like it. "
         )
-        parts.append(_image(_star(folder, row), text + _text(row, "warnings")))
+        parts.append(_image(_star(folder, row), text + row["warnings"]))
     return "".join(parts)
 
 
@@ -188,10 +189,6 @@ def _causes(title, found):
             text += f"<details><summary>Traceback of the first</summary>{trace}</details>"
         parts.append(f"<div>{text}</div>")
     return "".join(parts)
-
-
-def _text(row, name):
-    return str(row[name]) if name in row.colnames else ""
 
 
 def _image(figure, caption):

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import warnings
+from concurrent.futures import BrokenExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models._version import __version__
 from scope_models.batch._store import Store
-from scope_models.batch._workers import LostWorkersError, check_client, checked_tasks, computed
+from scope_models.batch._workers import check_client, checked_tasks, computed
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.io._atomic import atomic_path, remove_temporaries
 
@@ -268,7 +269,7 @@ def _keep(records, store, bar):
                 failed += 1
                 bar.set_postfix(failed=failed, refresh=False)
             bar.update()
-    except LostWorkersError as error:
+    except BrokenExecutor as error:
         raise SweepError(
             f"{error}; the {len(store)} stars that are finished are kept, and the same call goes "
             "on from there"

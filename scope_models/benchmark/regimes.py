@@ -10,8 +10,6 @@ from scope_models.scene.motion import K2Roll
 
 __all__ = ["REGIMES", "SkyRegime"]
 
-_TWO_MINUTES = K2Roll.cadence / 15  # days, of frames as those of a long cadence
-
 
 @dataclass(frozen=True)
 class SkyRegime(Value):
@@ -121,7 +119,8 @@ _BUMP = {"star": "bump", "period": 5.0, "magnitude": 13}
 _FAR = {"scale": 5, "shape": (11, 11)}
 _PAIR = {"star": "eclipsing", "period": 2.3, "neighbors": ((1.5, 2.5, 0),)}
 _JITTER = {"motion": "jitter", "positions": "none"}
-_FAST = {"cadence": _TWO_MINUTES, "longest": 6000, "seeing": 0.002}
+# Two minutes, of frames as those of a long cadence.
+_FAST = {"cadence": K2Roll.cadence / 15, "longest": 6000, "seeing": 0.002}
 _HUGE = {"scale": 10, "shape": (13, 13)}
 _SINGLE = {"transit_period": np.inf}
 _SHORT = {"longest": 400}
