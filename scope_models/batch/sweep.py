@@ -278,10 +278,8 @@ def _keep(records, store, bar):
 
 def _table(rows, units, meta):
     names = list(dict.fromkeys(name for row in rows for name in row))
-    table = Table(rows or None, names=names or None, meta=dict(meta))
-    for name in units.keys() & set(table.colnames):
-        table[name].unit = units[name]
-    return table
+    units = {name: units[name] for name in names if name in units}
+    return Table(rows or None, names=names or None, units=units, meta=dict(meta))
 
 
 def _written(directory, table, summary, figure, failures):

@@ -166,7 +166,6 @@ def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_g
 def _everest_cdpp(_time, flux, width, filter_window):
     if len(flux) >= filter_window:
         flux = flux - savgol_filter(flux, filter_window, _FILTER_ORDER)
-        flux = flux + 1 - np.median(flux)
     residual = flux
     if len(flux) >= _SMOOTH:  # with a Hann window, the series continued by point reflection
         window = np.hanning(_SMOOTH)
