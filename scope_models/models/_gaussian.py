@@ -17,13 +17,15 @@ of the same family. Where ``|rho|`` is so large that the series is long, a Gauss
 x, whose node count follows from the width of the density, of closed forms along y takes its place.
 """
 
+from functools import partial
+
 import numpy as np
 
 from scope_models.models._axis import axis_direct, axis_table, gauss_legendre, gaussian_nodes
 
 __all__ = [
-    "REACH", "contract", "flattened", "gaussian_pixels", "moved", "n_terms", "series_step",
-    "uses_series", "widened",
+    "REACH", "contract", "flattened", "gaussian_pixels", "n_terms", "series_step", "slope_pairs",
+    "uses_series",
 ]  # fmt: skip
 
 # The series is cut where the rest is below this part of the total flux.
@@ -79,17 +81,32 @@ def series_step(n_terms, x, y):
     return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size, 1)), _FEWEST), _MOST)
 
 
-def moved(table, sigma):
+def _moved(table, sigma):
     """Derivative of all orders but the last two, on the axis before the last, by the position."""
     order = np.arange(1.0, table.shape[-2] - 1)[:, np.newaxis]
     return np.sqrt(order) * table[..., 1:-1, :] / sigma
 
 
-def widened(table, sigma):
+def _widened(table, sigma):
     """Derivative of all orders but the last two with respect to the width."""
     order = np.arange(table.shape[-2] - 2.0)[:, np.newaxis]
     change = order * table[..., :-2, :] + np.sqrt((order + 1) * (order + 2)) * table[..., 2:, :]
     return change / sigma
+
+
+def slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh):
+    """Tables along y and x whose products are an image, and its slopes by position and widths.
+
+    ``weigh`` multiplies a table along y by the coefficients. The tables hold two orders more.
+    """
+    base_x, base_y = x_table[..., :-2, :], weigh(y_table[..., :-2, :])
+    return [
+        (base_y, base_x),
+        (base_y, _moved(x_table, sigma_x)),
+        (weigh(_moved(y_table, sigma_y)), base_x),
+        (base_y, _widened(x_table, sigma_x)),
+        (weigh(_widened(y_table, sigma_y)), base_x),
+    ]
 
 
 def _series_images(x, y, parameters, coefficients, out):
@@ -110,18 +127,9 @@ def _series_images(x, y, parameters, coefficients, out):
             y_table *= weight
             contract(y_table, x_table, out[0, part])
             continue
-        base_x, base_y = x_table[:, :n], weight * y_table[:, :n]
-        wide_x, wide_y = (
-            s if s.size == 1 else s[part, np.newaxis, np.newaxis] for s in (sigma_x, sigma_y)
-        )
-        pairs = [
-            (base_y, base_x),
-            (base_y, moved(x_table, wide_x)),
-            (weight * moved(y_table, wide_y), base_x),
-            (base_y, widened(x_table, wide_x)),
-            (weight * widened(y_table, wide_y), base_x),
-            (weight * order * y_table[:, 1:-1], x_table[:, 1:-1]),
-        ]
+        widths = (s if s.size == 1 else s[part, np.newaxis, np.newaxis] for s in (sigma_x, sigma_y))
+        pairs = slope_pairs(x_table, y_table, *widths, partial(np.multiply, weight))
+        pairs.append((weight * order * y_table[:, 1:-1], x_table[:, 1:-1]))
         for pair, image in zip(pairs, out, strict=True):
             contract(*pair, image[part])
 

@@ -278,10 +278,15 @@ class GaussHermitePSF(StarModel):
         z = np.broadcast_arrays((x - x_0) / sigma_x, (y - y_0) / sigma_y)
         tables = (hermite_functions(u.ravel(), self.order + 3) for u in z)
         x_table, y_table = (t / sigma for t, sigma in zip(tables, (sigma_x, sigma_y), strict=True))
-        matrix = self._matrix(coefficients)
-        pairs = _pairs(x_table, y_table, sigma_x, sigma_y, matrix, self._places)
+        pairs = self._pairs(self._matrix(coefficients), x_table, y_table, sigma_x, sigma_y)
         unit, *parts = (np.sum(a * b, axis=0).reshape(z[0].shape) for a, b in pairs)
         return [unit, *(flux * part for part in parts)]
+
+    def _pairs(self, matrix, x_table, y_table, *widths):
+        """Tables whose products are the image of unit flux, and its derivatives."""
+        base_x, base_y = x_table[..., :-2, :], y_table[..., :-2, :]
+        pairs = _gaussian.slope_pairs(x_table, y_table, *widths, partial(np.matmul, matrix.T))
+        return [*pairs, *((base_y[..., [m], :], base_x[..., [k], :]) for k, m in self._places)]
 
     def _integrals(
         self, matrix, x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y, *, derivatives=False
@@ -298,7 +303,7 @@ class GaussHermitePSF(StarModel):
             x_table, y_table = x_axis(part), y_axis(part)
             if derivatives:
                 wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
-                pairs = _pairs(x_table, y_table, *wide, matrix, self._places)
+                pairs = self._pairs(matrix, x_table, y_table, *wide)
             else:
                 pairs = [(matrix.T @ y_table, x_table)]
             for pair, image in zip(pairs, images, strict=True):
@@ -316,21 +321,3 @@ class GaussHermitePSF(StarModel):
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
         return gaussian_box(self, factor + np.sqrt(self.order))
-
-
-def _pairs(x_table, y_table, sigma_x, sigma_y, matrix, places):
-    """Tables along y and x whose products, summed over the orders, are the image of unit flux.
-
-    And its derivatives by position, widths and coefficients. The tables hold two orders more than
-    the matrix, on the axis before the last.
-    """
-    base_x, base_y = x_table[..., :-2, :], y_table[..., :-2, :]
-    weighted = matrix.T @ base_y
-    return [
-        (weighted, base_x),
-        (weighted, _gaussian.moved(x_table, sigma_x)),
-        (matrix.T @ _gaussian.moved(y_table, sigma_y), base_x),
-        (weighted, _gaussian.widened(x_table, sigma_x)),
-        (matrix.T @ _gaussian.widened(y_table, sigma_y), base_x),
-        *((base_y[..., [m], :], base_x[..., [k], :]) for k, m in places),
-    ]
