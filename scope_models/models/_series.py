@@ -46,12 +46,13 @@ class ImageSeries:
         )
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
         grid = columns, rows, blur, np.rint(at)
-        self._parts = [(part, offset, _engine(*form, *grid)) for part, offset, *form in parts]
         self._shape = rows.size, columns.size
+        lit = () if 0 in self._shape else parts
+        self._parts = [(part, offset, _engine(*form, *grid)) for part, offset, *form in lit]
 
     def __call__(self, x, y, widths=None):
         """Images ``(m, ...)`` of the `window` at positions and factors on the width ``(m,)``."""
-        if 0 in self._shape:
+        if not self._parts:
             return np.zeros((len(x), *self._shape))
         scale, images = 1.0 if widths is None else widths, None
         for fraction, (dx, dy), engine in self._parts:
@@ -125,36 +126,23 @@ def _normal(term):
 
 def _window(parts, shape, x, y, widest, blur):
     """Return the rows and columns that any component lights at any position."""
-    ends = (float(x.min()), float(x.max())), (float(y.min()), float(y.max()))
-    windows = []
-    for _, offsets, term, gaussian in parts:
-        if gaussian is None:
-            reach = getattr(term.densities[0].model, "reach", None)
-            if reach is None:
-                return slice(0, shape[0]), slice(0, shape[1])
-            windows.append(_table_window(reach, shape, ends, offsets, widest + blur))
-            continue
-        blurred, limits = math.hypot(blur, term.diffusion), []
-        for axis in (1, 0):
-            reach = _gaussian.REACH * math.hypot(widest * gaussian[axis], blurred) + 0.5
-            near, far = sorted((offsets[axis], widest * offsets[axis]))
-            low, high = ends[axis]
-            outer = low + near - reach, high + far + reach
-            limits += [min(max(math.ceil(end), 0), shape[1 - axis]) for end in outer]
-        windows.append(limits)
-    bottoms, tops, lefts, rights = zip(*windows, strict=True)
-    return slice(min(bottoms), max(tops)), slice(min(lefts), max(rights))
-
-
-def _table_window(reach, shape, ends, offsets, scale):
-    """Return the first and last of the rows and columns that a table covers, at least one."""
-    found = []
-    for n, place, offset, (low, high) in zip(shape[::-1], ends, offsets, reach, strict=True):
-        first = np.floor(place[0] + scale * (low - abs(offset)) - 0.5)
-        last = np.ceil(place[1] + scale * (high + abs(offset)) + 0.5)
-        start = int(np.clip(first, 0, n - 1))
-        found.append((start, int(np.clip(last + 1, start + 1, n))))
-    return (*found[1], *found[0])
+    limits = []  # of each component, about the star along x and y
+    for _, offset, term, gaussian in parts:
+        far = _gaussian.REACH * math.hypot(blur, term.diffusion)
+        if gaussian is not None:
+            reaches = [math.hypot(_gaussian.REACH * widest * sigma, far) for sigma in gaussian[:2]]
+            reach = [(-r, r) for r in reaches]
+        elif hasattr(model := term.densities[0].model, "reach"):
+            reach = [(widest * low - far, widest * high + far) for low, high in model.reach]
+        else:
+            return slice(0, shape[0]), slice(0, shape[1])
+        pairs = zip((widest * d for d in offset), reach, strict=True)
+        limits.append([(low + min(d, 0.0), high + max(d, 0.0)) for d, (low, high) in pairs])
+    lows, highs, window = np.min(limits, axis=0)[:, 0], np.max(limits, axis=0)[:, 1], []
+    for n, place, low, high in zip(shape[::-1], (x, y), lows, highs, strict=True):
+        ends = math.ceil(place.min() + low - 0.5), math.ceil(place.max() + high + 0.5)
+        window.append(slice(*(min(max(end, 0), n) for end in ends)))
+    return tuple(window[::-1])
 
 
 def _engine(term, gaussian, columns, rows, blur, middle):
