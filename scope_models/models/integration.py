@@ -11,7 +11,7 @@ from astropy.modeling import Model
 from numpy.polynomial import Polynomial
 
 from scope_models._arrays import plain_array, without_unit
-from scope_models._checks import checked_choice
+from scope_models._checks import checked_choice, checked_shape
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
@@ -59,14 +59,8 @@ class PixelPoints:
     @classmethod
     def from_shape(cls, shape):
         """All pixels of an image of shape (ny, nx)."""
-        try:
-            ny, nx = (int(n) for n in shape)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"`shape` must be (ny, nx), got {shape!r}") from error
-        if ny < 1 or nx < 1:
-            raise ValueError(f"`shape` must be positive, got {shape!r}")
         points = cls.__new__(cls)
-        points.shape = (ny, nx)
+        points.shape = ny, nx = checked_shape(shape)
         points.columns, points.rows = np.arange(nx, dtype=float), np.arange(ny, dtype=float)
         points.x, points.y = np.tile(points.columns, ny), np.repeat(points.rows, nx)
         points.on_grid = points.whole = True
@@ -227,7 +221,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     Raises
     ------
     TypeError
-        If model is not a model.
+        If model is not a model, or shape not two integers.
     ValueError
         If the model has other inputs or outputs, both or neither of shape and (x, y) are given, a
         pixel-integrated model is multiplied by something that varies within a pixel, or there is

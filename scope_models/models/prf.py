@@ -433,7 +433,7 @@ class PRF(StarModel):
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If the shape or a name is wrong.
 
         Examples
@@ -474,8 +474,8 @@ class PRF(StarModel):
 
         Raises
         ------
-        ValueError
-            If the shapes do not agree or a value is not finite.
+        TypeError, ValueError
+            If a shape is wrong, the shapes do not agree or a value is not finite.
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)

@@ -306,8 +306,8 @@ def test_far_stars_are_not_missed_nor_invented():
         ((5,), TypeError, "`model` must be an astropy model"),
         ((Identity(2),), ValueError, "two inputs, one output"),
         ((BivariateGaussianPSF(), None), ValueError, "give either `shape`, or both"),
-        ((BivariateGaussianPSF(), 5), ValueError, "`shape` must be"),
-        ((BivariateGaussianPSF(), (0, 5)), ValueError, "`shape` must be positive"),
+        ((BivariateGaussianPSF(), 5), TypeError, "`shape` must be two integers"),
+        ((BivariateGaussianPSF(), (0, 5)), ValueError, "`shape` must be at least 1"),
     ],
 )
 def test_bad_arguments(arguments, error, message):

@@ -156,7 +156,7 @@ def test_bad_values():
         prf.render((3, 3), x_0=[1, np.nan])
     with pytest.raises(ValueError, match="must have the same length"):
         prf.render((3, 3), x_0=[1, 2], y_0=[1, 2, 3])
-    with pytest.raises(ValueError, match="`shape` must be"):
+    with pytest.raises(TypeError, match="`shape` must be two integers"):
         prf.render(3)
     with pytest.raises(TypeError):
         PRF(BivariateGaussianPSF(), sigma_z=1)
