@@ -13,18 +13,16 @@ from scope_models.models._parameters import Domain, check_model_parameters, make
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 
+_LEAST_DIFFUSION = 1e-100  # pixels: it stands for none
+
 
 def collected(offset, sigma):
     """Part of the charge that a pixel collects along one axis, and its derivative by sigma.
 
     The charge is set free at an offset from the pixel's center and diffuses by sigma, pixels.
     """
-    offset = np.asarray(offset, dtype=float)
-    edges = np.stack([offset + 0.5, offset - 0.5])
-    if sigma == 0:
-        inside = 0.5 * (np.sign(edges[0]) - np.sign(edges[1]))
-        return inside, np.zeros_like(inside)
-    scaled = edges / (np.sqrt(2) * sigma)
+    offset, sigma = np.asarray(offset, dtype=float), max(sigma, _LEAST_DIFFUSION)
+    scaled = np.stack([offset + 0.5, offset - 0.5]) / (np.sqrt(2) * sigma)
     part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
     slope = scaled * np.exp(-(scaled**2)) / (np.sqrt(np.pi) * sigma)
     return part, slope[1] - slope[0]

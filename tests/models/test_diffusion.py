@@ -31,6 +31,13 @@ def test_gaussian_becomes_wider(method):
     np.testing.assert_allclose(image, integrate_pixels(convolved, SHAPE), atol=1e-10)
 
 
+def test_no_diffusion_is_a_box():
+    offset = np.array([-0.7, -0.5, 0.2, 0.5, 0.6])
+    response = DiffusionSensitivity(0.0)
+    np.testing.assert_array_equal(response.response(offset, 0.0), [0, 0.5, 1, 0.5, 0])
+    np.testing.assert_array_equal(response.fit_deriv(offset, 0.0, 0.0), np.zeros((1, 5)))
+
+
 def test_any_density_with_a_polynomial():
     """Each pixel collects the light of nine, weighted where it falls, by a fine rule."""
     psf = MoffatPSF(x_0=3.1, y_0=2.8, alpha=1.2, beta=2.5)
