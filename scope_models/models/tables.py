@@ -34,9 +34,6 @@ class _Surface:
         self.samples, self.oversampling, self.origin = samples, oversampling, origin
         self.samples.flags.writeable = False
 
-    def __copy__(self):
-        return self
-
     def __deepcopy__(self, memo):
         return self
 
