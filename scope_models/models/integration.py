@@ -113,19 +113,14 @@ def integrate_density(term, points, evaluate=None):
     dx, dy = (np.repeat(d.ravel(), x.size) for d in np.meshgrid(near, near))
     x, y, image = (np.tile(values, near.size**2) for values in (x, y, image))
     x, y, units = x + dx, y + dy, []
-
-    def product(x_at, y_at, index):
-        result = 1.0
-        for factor in term.densities:
-            result = result * factor.evaluate(x_at, y_at, index)
-        return result
+    parts = [evaluate] if evaluate else [factor.evaluate for factor in term.densities]
 
     def integrand(u_at, v_at, index):
         shape = (-1, 1, 1)
         inside = np.broadcast_shapes(u_at.shape, v_at.shape)
         x_at = np.broadcast_to(x[index].reshape(shape) + u_at, inside)
         y_at = np.broadcast_to(y[index].reshape(shape) + v_at, inside)
-        value = (evaluate or product)(x_at, y_at, image[index])
+        value = math.prod(part(x_at, y_at, image[index]) for part in parts)
         units.append(getattr(value, "unit", None))
         value = without_unit(value) * np.polynomial.polynomial.polyval(u_at, along_x)
         value = value * np.polynomial.polynomial.polyval(v_at, along_y)
