@@ -105,13 +105,13 @@ class PRFGrid(Value):
             raise ValueError(f"column {place[0]:g}, row {place[1]:g} is not between the places")
         return np.maximum(weights, 0.0)
 
-    def at(self, column, row):
+    def at(self, column=None, row=None):
         """Return the table of a place.
 
         Parameters
         ----------
-        column, row : float or `~astropy.units.Quantity`
-            The place in pixels, as the tables count them.
+        column, row : float or `~astropy.units.Quantity`, optional
+            The place in pixels, as the tables count them; not needed for a single table.
 
         Returns
         -------
@@ -121,9 +121,14 @@ class PRFGrid(Value):
         Raises
         ------
         ValueError
-            If the place is more than 100 px outside.
+            If the place is more than 100 px outside, or left out of several.
         """
-        weights, first = self.weights(column, row), self.tables[0]
+        first = self.tables[0]
+        if column is None and row is None and len(self.tables) == 1:
+            return first
+        if column is None or row is None:
+            raise ValueError("`column` and `row` must be given: there are tables of several places")
+        weights = self.weights(column, row)
         used = [(w, t) for w, t in zip(weights, self.tables, strict=True) if w]
         error = None
         if all(table.uncertainty is not None for _, table in used):

@@ -284,7 +284,7 @@ class PRF(StarModel):
         FileNotFoundError, ValueError
             If there are no such files, or they do not belong together.
         """
-        return cls(_table_at(PRFGrid.from_tess(path, camera, ccd), column, row))
+        return cls(PRFGrid.from_tess(path, camera, ccd).at(column, row))
 
     @classmethod
     def from_kepler(cls, path, column=None, row=None):
@@ -307,7 +307,7 @@ class PRF(StarModel):
         OSError, ValueError
             If the file is not of that format.
         """
-        return cls(_table_at(PRFGrid.from_kepler(path), column, row))
+        return cls(PRFGrid.from_kepler(path).at(column, row))
 
     @property
     def psf(self):
@@ -533,15 +533,6 @@ def _like(source, name, *, fixed=None):
     parameter = Parameter(name, fixed=fixed, bounds=source.bounds, description=text)
     validator = source._validator  # noqa: SLF001 - astropy gives it out by no other way
     return parameter if validator is None else parameter.validator(validator)
-
-
-def _table_at(grid, column, row):
-    """The table at a place; with a single table no place is needed."""
-    if column is None and row is None and len(grid.tables) == 1:
-        return grid.tables[0]
-    if column is None or row is None:
-        raise ValueError("`column` and `row` must be given: there are tables of several places")
-    return grid.at(column, row)
 
 
 def _parts_of(terms):

@@ -227,6 +227,10 @@ class TestGrid:
         assert grid.at(55, 60).uncertainty.max() == pytest.approx(0.05)
         with pytest.raises(ValueError, match="must be near columns 5 to 105"):
             grid.at(300, 10)
+        with pytest.raises(ValueError, match="there are tables of several places"):
+            grid.at(column=5)
+        alone = self.grid([(5, 10)])
+        assert alone.at() is alone.tables[0]
 
     def test_bad_grids(self):
         with pytest.raises(ValueError, match="two tables have the same place"):
