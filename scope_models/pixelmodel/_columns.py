@@ -66,12 +66,16 @@ class Columns:
             return values
         return values @ (self._member[:, None] == np.arange(len(self.single))).astype(float)
 
-    def drawn(self, values):
-        """Return sums ``(n, n_sums)`` in all pixels: full columns have the others' profile."""
+    def drawn(self, values, images=None):
+        """Return sums ``(n, n_sums)`` in all pixels.
+
+        Full columns have the profile of the others in images, by default these values.
+        """
         if self.single.all():
             return values
         _, rows = np.unique(self.grid[:, 1], return_inverse=True)
         other = (rows[:, None] == np.arange(rows.max() + 1)) & ~self._full[:, None]
+        images = (values if images is None else images)[:, self._member]
         values = values[:, self._member]
-        profile = np.maximum(values @ other, 1e-300)[:, rows]
+        profile = np.maximum(images @ other, 1e-300)[:, rows]
         return values * np.where(self._full, profile / self.summed(profile)[:, self._member], 1.0)

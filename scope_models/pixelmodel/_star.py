@@ -575,6 +575,7 @@ def _result(stamp, states, images, light, light_error, image_error):
     inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
     drawn = stamp.columns.drawn
     slopes = np.array([slope[stamp.use].mean(axis=0) for slope in images.slopes])
+    mean = images.still[stamp.use].mean(axis=0)[None]
     focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
     kept = _kept(stamp, states, images, focus)
     still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
@@ -588,8 +589,8 @@ def _result(stamp, states, images, light, light_error, image_error):
         position=states.position,
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
-        repaired=drawn(~states.good) > 0,
-        slopes=drawn(np.where(inside, slopes, 0.0)),
+        repaired=drawn(~states.good, mean) > 0,
+        slopes=drawn(np.where(inside, slopes, 0.0), mean),
         grid=stamp.columns.grid,
     )
 

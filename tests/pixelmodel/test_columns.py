@@ -116,6 +116,10 @@ def test_sums_of_columns():
     drawn = columns.drawn(sums).reshape(cube.shape)
     np.testing.assert_array_equal(drawn[:, :, [0, 3]], cube[:, :, [0, 3]])
     np.testing.assert_allclose(drawn.sum(axis=1), cube.sum(axis=1))
+    changes = columns.drawn(np.sin(sums), sums).reshape(cube.shape)
+    np.testing.assert_allclose(changes[:, :, [0, 3]], np.sin(cube[:, :, [0, 3]]))
+    ratio = changes[:, :, 1] / drawn[:, :, 1]
+    np.testing.assert_allclose(ratio, np.repeat(ratio[:, :1], 9, axis=1))
     ratio = drawn[:, :, 1] / cube[:, :, [0, 3]].sum(axis=2)
     np.testing.assert_allclose(ratio, np.repeat(ratio[:, :1], 9, axis=1))
 
