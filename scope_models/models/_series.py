@@ -110,7 +110,7 @@ def _with_response(psf, sensitivity):
     for fraction, offset, unit in _components(psf):
         whole = is_pixel_integrated(unit.densities[0].model)
         terms = [unit] if whole else [unit * response for response in responses]
-        parts += [(fraction, offset, term, _normal(term)) for term in terms]
+        parts += [(fraction * float(term.scale), offset, term, _normal(term)) for term in terms]
     return parts
 
 
@@ -138,10 +138,11 @@ def _window(parts, shape, x, y, widest, blur):
             return slice(0, shape[0]), slice(0, shape[1])
         pairs = zip((widest * d for d in offset), reach, strict=True)
         limits.append([(low + min(d, 0.0), high + max(d, 0.0)) for d, (low, high) in pairs])
-    lows, highs, window = np.min(limits, axis=0)[:, 0], np.max(limits, axis=0)[:, 1], []
-    for n, place, low, high in zip(shape[::-1], (x, y), lows, highs, strict=True):
-        ends = math.ceil(place.min() + low - 0.5), math.ceil(place.max() + high + 0.5)
-        window.append(slice(*(min(max(end, 0), n) for end in ends)))
+    window = []
+    for n, place, pairs in zip(shape[::-1], (x, y), zip(*limits, strict=True), strict=True):
+        lows, highs = zip(*pairs, strict=True)
+        ends = place.min() + min(lows) - 0.5, place.max() + max(highs) + 0.5
+        window.append(slice(*(min(max(math.ceil(end), 0), n) for end in ends)))
     return tuple(window[::-1])
 
 

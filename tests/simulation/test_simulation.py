@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from astropy.modeling.models import Const1D
+from astropy.modeling.models import Const1D, Const2D
 from photutils.psf import MoffatPSF
 from scipy.integrate import dblquad
 from scipy.stats import norm
@@ -13,7 +13,7 @@ from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.effects import BrighterFatter, DarkCurrent
 from scope_models.effects._noise import NOISE_TERMS
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
-from scope_models.models import BivariateGaussianPSF
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, moffat_psf
 from scope_models.models._series import ImageSeries
 
 PLAIN = Detector.k2(well_depth=None).without_sensitivity()
@@ -474,3 +474,14 @@ def test_charge_beyond_single_precision_is_refused(level):
     scene = Star(12.0), Detector.k2(well_depth=None), Motion.still(3)
     with pytest.raises(ValueError, match="the charge of a pixel is beyond single precision"):
         simulate(*scene, seed=1, effects=[DarkCurrent(level), BrighterFatter()])
+
+
+@pytest.mark.parametrize("psf", [BivariateGaussianPSF(1.0, 0.0, 0.0, 0.6, 0.5, 0.2), moffat_psf(2)])
+def test_a_factor_of_the_sensitivity_is_in_the_light(psf):
+    response = SensitivityPolynomial()
+    light = []
+    for each in (response, Const2D(0.5) * response, response + Const2D(0.5) * response):
+        detector = Detector.k2(sensitivity=each, psf=psf, background=0.0, interpixel_scatter=0.0)
+        observation = simulate(Star(12.0), detector, Motion.still(2), seed=1)
+        light.append(np.sum(observation.model()))
+    np.testing.assert_allclose(light[1:], [0.5 * light[0], 1.5 * light[0]], rtol=1e-9)
