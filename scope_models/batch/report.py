@@ -149,7 +149,8 @@ def _outliers(folder, table):
             f"{row['object'] or row['key']} ({row['key']}): magnitude {mag[n]:.1f}, noise "
             f"{noise[n]:.0f} ppm, {excess[n]:.1f} times the median of stars like it. "
         )
-        parts.append(_image(_star(folder, row), text + row["warnings"]))
+        text += row["warnings"] if "warnings" in table.colnames else ""
+        parts.append(_image(_star(folder, row), text))
     return "".join(parts)
 
 

@@ -60,8 +60,8 @@ def make_regressors(pixels, use, options):
     usable = pixels.usable
     total, most = pixels.total[usable], options.most
     mask = pixels.aperture if options.mask is None else options.mask
-    images = np.nan_to_num(pixels.flux[usable])
-    full = full_columns(np.where(mask, images, 0.0), use, options.saturation)
+    images = np.where(mask, np.nan_to_num(pixels.flux[usable]), 0.0)
+    full = full_columns(images, use, options.saturation)
     images = without_saturation(images, mask, full)
     images /= total[:, None, None]
     fractions = images[:, mask]

@@ -11,7 +11,7 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel._columns import full_columns
+from scope_models.pixelmodel._columns import FEWEST, full_columns
 from scope_models.pixelmodel._position import (
     COORDINATES,
     DARK_PART,
@@ -45,9 +45,9 @@ __all__ = [
 
 #: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
-#: Branch: in this part of the cadences, and in so many at least: light that a rare excursion
-#: carries out of the aperture would be lost
-_BRIGHT_PART, _FEWEST = 0.002, 3
+#: Branch: ... in this part of the cadences: light that a rare excursion carries out of the aperture
+#: would be lost.
+_BRIGHT_PART = 0.002
 #: Branch: a correction that changes the flux by a larger factor than this, against the others, is
 #: none.
 LARGEST_CORRECTION = 30.0
@@ -144,8 +144,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     Columns with full pixels, at ``saturation``, e-/s, are whole: charge bleeds as far as it must.
     The target is searched in the pixels of ``pipeline``, near its ``place`` if that is known.
     """
-    if len(flux) < _FEWEST:
-        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
+    if len(flux) < FEWEST:
+        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {FEWEST} are needed")
     given, flux = flux, without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
@@ -156,7 +156,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
             few = few if np.isfinite(given).any() else "`tpf` has no pixels with data"
             raise ValueError(f"{few}: no aperture can be chosen, give `aperture_mask`")
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
-    count = max(_FEWEST, round(_BRIGHT_PART * len(values)))
+    count = max(FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
@@ -210,7 +210,7 @@ def at_one_place(values, pos_corr):
     """Return the median of the images in which the star is nearest to its median place."""
     distance = np.hypot(*(pos_corr - np.nanmedian(pos_corr, axis=0)).T)
     near = np.argsort(np.where(np.isfinite(distance), distance, np.inf))
-    return np.median(values[near[: max(_FEWEST, len(values) // 20)]], axis=0)
+    return np.median(values[near[: max(FEWEST, len(values) // 20)]], axis=0)
 
 
 def typical_image(flux):
@@ -402,14 +402,16 @@ def _own_light(flux, aperture, core, pos_corr, place):
 def can_predict(pixels, saturation, use):
     """Whether the pixel fractions can be predicted, learned from the cadences in ``use``.
 
-    Not with few pixels or cadences, without FLUX_ERR, nor for a moving aperture where pixels are
-    full, at ``saturation``, e-/s: their light depends on others'.
+    Not with few cadences or pixels, of which full columns, at ``saturation``, e-/s, are one each,
+    without FLUX_ERR, nor for a moving aperture over full columns.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
-    if flux.shape[0] < _CADENCES_TO_PREDICT or flux.shape[1] < _PIXELS_TO_PREDICT:
+    full = pixels.full_columns(use, saturation)
+    n_pixels = full.sum() + (pixels.aperture & ~full).sum()
+    if len(flux) < _CADENCES_TO_PREDICT or n_pixels < _PIXELS_TO_PREDICT:
         return False
-    full = pixels.weights is not None and pixels.full_columns(use, saturation).any()
-    return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+    moving = pixels.weights is not None and full.any()
+    return not moving and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
 def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None, **options):
@@ -423,7 +425,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
     full = pixels.full_columns(learned, saturation)
-    known = np.isfinite(pixels.flux[use]).all(axis=0) & (pixels.aperture | ~full)
+    own = ~full
+    if full.any() and pixels.own is not None:  # no model holds the stars beside it
+        own = own & pixels.own
+    known = np.isfinite(pixels.flux[use]).all(axis=0) & (pixels.aperture | own)
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)

@@ -1,7 +1,6 @@
 """Pixel level decorrelation of target pixel files."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 from lightkurve.correctors.corrector import Corrector
@@ -284,8 +283,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             if given is not None or (full and not pixels.own.all()):
                 message = "pixels are full, or too few: the light of other stars stays in the flux"
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
-            own = pixels.own | pixels.aperture  # no model holds what is in the others
-            return replace(pixels, flux=np.where(own, pixels.flux, np.nan)), series
+            return pixels, series
         found = light_of_neighbors(pixels, series, mask, given)
         return (pixels, series) if found is None else without_neighbors(pixels, series, found)
 

@@ -13,7 +13,8 @@ from scope_models.models._parameters import Domain, check_model_parameters, make
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 
-_LEAST_DIFFUSION = 1e-100  # pixels: it stands for none
+# Pixels, in place of none: so small that each pixel is a box, and squares of quotients are finite.
+_LEAST_DIFFUSION = 1e-100
 
 
 def collected(offset, sigma):

@@ -6,10 +6,10 @@ that its share of the light follows the dimming, but the column's sum does not d
 
 import numpy as np
 
-__all__ = ["Columns", "full_columns", "without_saturation"]
+__all__ = ["FEWEST", "Columns", "full_columns", "without_saturation"]
 
-#: Branch: a column that is full in more cadences than a cosmic ray may make so counts as full.
-_FEWEST = 3
+#: Branch: what is seen in fewer cadences may be an accident.
+FEWEST = 3
 
 
 def full_columns(images, use, saturation):
@@ -19,7 +19,7 @@ def full_columns(images, use, saturation):
     """
     if saturation is None:
         return np.zeros(images.shape[2], dtype=bool)
-    return (np.sum(images[use] > saturation, axis=0) >= _FEWEST).any(axis=0)
+    return (np.sum(images[use] > saturation, axis=0) >= FEWEST).any(axis=0)
 
 
 def without_saturation(images, aperture, full):

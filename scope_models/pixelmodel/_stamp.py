@@ -95,9 +95,10 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     typical = quantile(flux[use].T)
     offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
     planes = np.column_stack([np.ones(n_pixels), offset])
-    n_terms = 3 if n_pixels // 4 >= FEWEST_DARK else 1  # few pixels show no slope
-    slope = dark_plane(typical, planes)[:n_terms]
     columns = Columns(grid, full)
+    n_dark = len(columns.single) // 4
+    n_terms = 3 if n_dark >= FEWEST_DARK else 1  # few pixels show no slope
+    slope = dark_plane(typical, planes)[:n_terms]
     if banded.any():
         rows = 2 * (grid[:, 1] - grid[:, 1].min()) / max(np.ptp(grid[:, 1]), 1) - 1
         waves = np.polynomial.legendre.legvander(rows, _BANDS)[:, 2:]
@@ -106,7 +107,7 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     flow = Flow(columns, aperture)
     flux, flux_err = columns.summed(flux), np.sqrt(columns.summed(flux_err**2))
     aperture, typical = columns.summed(aperture.astype(float)) > 0, columns.summed(typical)
-    dark = np.argsort(typical - planes[:, :n_terms] @ slope)[: max(3, len(grid) // 4)]
+    dark = np.argsort(typical - planes[:, :n_terms] @ slope)[: max(3, n_dark)]
     # unless that may be the star's wings
     level = quantile(typical[dark])
     base = np.zeros(planes.shape[1])
@@ -148,6 +149,7 @@ def _planes(change, terms):
         rest = np.abs(change - found @ terms.T)
         weight = 1 / (1 + (rest / np.maximum(3 * quantile(rest)[:, None], 1e-300)) ** 2)
         gram = np.einsum("np,pi,pj->nij", weight, terms, terms, optimize=True)
+        gram += 1e-9 * gram[:, :1, :1] * np.eye(terms.shape[1])  # one column shows no slope across
         found = np.linalg.solve(gram, ((weight * change) @ terms)[:, :, None])[:, :, 0]
     return found
 

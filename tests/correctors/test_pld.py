@@ -457,6 +457,21 @@ def test_a_full_star_that_moves_reaches_the_noise(fake_star):
     assert 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1]) > 0.8e-3
 
 
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
+@pytest.mark.parametrize(("shape", "mag"), [((41, 1), 12.0), ((41, 3), 8.5)])
+def test_narrow_stamps_are_corrected_without_a_warning(shape, mag):
+    """Dark pixels of one column show no slope across it; three full columns are three pixels."""
+    detector = Detector.k2(shape=shape)
+    corrector = PLDCorrector(
+        simulate(Star(mag), detector, Motion.k2_roll(500, seed=1), seed=1).to_tpf()
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DetrendingWarning)
+        lc = corrector.correct()
+    assert (corrector.model.clean is None) == (shape[1] == 3)
+    assert cdpp(lc) < 0.4 * cdpp(corrector.original_lc)  # 0.25 and 0.07
+
+
 def test_a_full_star_keeps_a_bump():
     """Its predicted fractions do not follow it."""
     regime = SkyRegime("full", magnitude=11.0, scale=2.0, star="bump", period=3.0, amplitude=0.1)
@@ -467,6 +482,17 @@ def test_a_full_star_keeps_a_bump():
         found[fractions] = score(lc, sky)
     assert found["auto"].full < 3
     assert found["measured"].full > 2 * found["auto"].full
+
+
+def test_background_beside_a_full_star_is_of_the_pixels_that_were_asked_for():
+    """Also those of its neighbors, which no model of the star alone holds."""
+    regime = SkyRegime("full", mission="K2", magnitude=10.5, neighbors=((1.0, 4.0, 0.0),))
+    corrector = PLDCorrector(make_sky(regime, 3, n_cadences=300).to_tpf())
+    others = ~corrector._pixels.own & ~corrector.aperture_mask
+    assert others.any()
+    with pytest.warns(DetrendingWarning, match="the light of other stars stays"):
+        corrector.correct(background_aperture_mask=others)
+    assert "background" in corrector.result.groups
 
 
 def test_aperture(star):

@@ -95,7 +95,7 @@ def test_cadences_that_are_not_used_do_not_count(track):
 
 
 def test_all_columns_full():
-    """Where no column shows the row, no pixel of a column tells anything."""
+    """Where no column shows the row, light is spread evenly along them."""
     y = 8 + np.linspace(-1, 1, 50)
     images = pixel_light(y, 17)[:, :, None] * np.ones(3)
     expected = np.repeat(images.sum(axis=1, keepdims=True) / 17, 17, axis=1)
