@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 
 from scope_models.correctors._regression import FLAT, Hyperparameters
 
-__all__ = ["find_waves", "harmonic_columns"]
+__all__ = ["find_waves"]
 
 #: Prior: twice the gain of the likelihood's logarithm that a pair of columns must bring. White
 #: noise exceeds it at one of 10^8 frequencies.
@@ -31,12 +31,6 @@ _CADENCES_PER_FREQUENCY = 8
 _ALONE = 10.0
 
 
-def harmonic_columns(time, frequencies):
-    """Return a cosine and a sine per frequency, ``(n_cadences, 2 n_frequencies)``."""
-    phase = 2 * np.pi * np.outer(time, frequencies)
-    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
-
-
 @dataclass(frozen=True)
 class _Waves:
     """Harmonics of one frequency, ``count`` of them, and others."""
@@ -48,6 +42,18 @@ class _Waves:
     @property
     def frequencies(self):
         return np.append(self.base * np.arange(1, self.count + 1), self.others)
+
+    def columns(self, time):
+        """Return a cosine and a sine per frequency, with the largest amplitudes of a size of one.
+
+        Those of harmonics of a light curve with jumps fall as 1/k, and exposures average them.
+        """
+        k = np.arange(1, self.count + 1)
+        sizes = np.sinc(k * self.base * np.median(np.diff(time))) / k
+        phase = 2 * np.pi * np.outer(time, self.frequencies)
+        columns = np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        columns[:, : self.count] *= sizes[:, None]
+        return columns.reshape(len(time), -1)
 
     def improbability(self, n):
         """Return minus the logarithm of the prior of frequencies that may be anywhere.
@@ -67,7 +73,7 @@ class _Waves:
 
     def _shifted(self, solution, use, amplitudes):
         """Return it after one step, amplitudes of each cosine and sine, and steps over errors."""
-        trial, count = solution.with_frequencies(self.frequencies, use), self.count
+        trial, count = solution.with_waves(self, use), self.count
         k, n = trial.n_regressors, solution.n_trend
         rows = slice(k + n, k + trial.n_trend)
         amplitudes = trial.posterior.mean[rows] if amplitudes is None else amplitudes
@@ -89,7 +95,7 @@ class _Waves:
 
     def gains(self, solution, use):
         """Return what each frequency gains beside the others: twice the log-likelihood."""
-        fitted = solution.with_frequencies(self.frequencies, use)
+        fitted = solution.with_waves(self, use)
         first = fitted.n_regressors + solution.n_trend
         rows = first + np.arange(2 * len(self.frequencies)).reshape(-1, 2)
         mean = fitted.posterior.mean[rows]
@@ -119,7 +125,7 @@ class _Waves:
 
     def likelihood(self, solution, use):
         """Return the logarithm of the likelihood, with the prior of the frequencies."""
-        fitted = solution.with_frequencies(self.frequencies, use)
+        fitted = solution.with_waves(self, use)
         return fitted.log_likelihood - self.improbability(use.sum())
 
 
@@ -140,7 +146,7 @@ def find_waves(solution, allowed):
         difference = rest[allowed] - np.median(windows, axis=1)
         use = allowed.copy()
         use[allowed] = np.abs(difference) <= _ALONE * max(mad_std(difference), 1e-300)
-        trial = _with_simple_noise(solution.with_frequencies(waves.frequencies, use), rest)
+        trial = _with_simple_noise(solution.with_waves(waves, use), rest)
         frequency, gain = _spectrum(trial)
         new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
         if not len(new) or len(waves.frequencies) + len(new) > n_most:
@@ -148,7 +154,7 @@ def find_waves(solution, allowed):
         plain = replace(solution, hyper=trial.hyper)
         waves = replace(waves, others=np.append(waves.others, new)).settled(plain, use)
         waves = _with_series(waves, plain, use, n_most)
-        rest = plain.with_frequencies(waves.frequencies, use).unexplained
+        rest = plain.with_waves(waves, use).unexplained
     return waves.significant(replace(solution, hyper=trial.hyper), use)
 
 
@@ -158,7 +164,7 @@ def _with_series(waves, solution, use, n_most):
     Most of the waves are multiples of the frequency, by less chance than of others.
     """
     time = solution.time[use]
-    length, step = np.ptp(time), float(np.median(np.diff(time)))
+    length = np.ptp(time)
     near = _NEAR / length
 
     def multiples(frequencies, base):
@@ -177,9 +183,8 @@ def _with_series(waves, solution, use, n_most):
     base = bases[best]
     frequencies = waves.frequencies
     last, count = round(frequencies[multiples(frequencies, base)].max() / base), 0
-    most = min(int(0.5 / (step * base)), n_most)  # faster ones look like slower ones
-    while count < min(2 * last, most):
-        count = min(2 * last, most)
+    while count < min(2 * last, n_most):
+        count = min(2 * last, n_most)
         series = _Waves(frequencies[~multiples(frequencies, base)], base, count)
         series = series.settled(solution, use)
         base, last = series.base, series.last(series.gains(solution, use))

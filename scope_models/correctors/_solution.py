@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scope_models.correctors._periodic import find_waves, harmonic_columns
+from scope_models.correctors._periodic import find_waves
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -253,12 +253,22 @@ class Solution:
         return solution
 
     def with_returned(self, allowed, options):
-        """Take back allowed cadences that only seemed to be outliers beside others."""
+        """Take back allowed cadences that only seemed to be outliers beside others.
+
+        Those that are outliers beside each other are left out again, the farther half at a time.
+        """
         deviations = np.abs(self.deviations(allowed))
-        spread = 1.4826 * np.median(deviations[self.use[allowed]])
-        use = self.use.copy()
-        use[allowed] |= deviations < options.sigma * spread
-        return replace(self, use=use)
+        limit = 1.4826 * options.sigma * np.median(deviations[self.use[allowed]])
+        returned = np.zeros_like(allowed)
+        returned[allowed] = deviations < limit
+        returned &= ~self.use
+        while True:
+            solution = replace(self, use=self.use | returned)
+            deviations = np.abs(solution.deviations(solution.use))[returned[solution.use]]
+            farthest = np.max(deviations, initial=0.0)
+            if farthest < limit:
+                return solution
+            returned[returned] = deviations < max(limit, farthest / 2)
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
@@ -291,10 +301,10 @@ class Solution:
         changed = {"flat": flat, "scale": scale, "n_short": 0, "short": short, "hyper": None}
         return replace(self, use=allowed & ~short, **changed)
 
-    def with_frequencies(self, frequencies, use):
+    def with_waves(self, waves, use):
         """Return the same model with periodic variability, as large as the data's."""
-        columns = harmonic_columns(self.time, frequencies) / np.sqrt(FLAT)
-        frequencies = (*self.frequencies, *map(float, frequencies))
+        columns = waves.columns(self.time) / np.sqrt(FLAT)
+        frequencies = (*self.frequencies, *map(float, waves.frequencies))
         n = self.n_trend + columns.shape[1]
         return self.with_more(columns, use, n_trend=n, frequencies=frequencies)
 
@@ -368,7 +378,7 @@ def fit(
     if options.trend == "gp":
         waves = find_waves(solution, use)
         if len(waves.frequencies):
-            periodic = likeliest(first.with_frequencies(waves.frequencies, use))
+            periodic = likeliest(first.with_waves(waves, use))
             gain = _evidence(periodic, use) - _evidence(solution, use)
             solution = periodic if gain > waves.improbability(use.sum()) else solution
     if solution.n_short:  # its shape is not learned from
