@@ -11,6 +11,7 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
+from scope_models.correctors._saturation import without_saturation
 from scope_models.pixelmodel._columns import FEWEST, full_columns
 from scope_models.pixelmodel._position import (
     COORDINATES,
@@ -67,6 +68,8 @@ _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 OTHER_STAR = 0.02
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
 _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
+#: Branch: no pixel has more than all of the light: a model with twice as much has diverged.
+_LARGEST_SHARE = 2.0
 
 
 @dataclass(frozen=True)
@@ -420,7 +423,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     Images are learned from the cadences of ``cadence_mask``, by default all; ``options`` are
     others of `fit_star`. The ``total`` of the returned pixels is the light without background,
     their ``flux`` the predicted fractions at constant focus times this. Second comes the
-    `StarModel`; None, with the pixels as they were, if the equations are singular.
+    `StarModel`; None, with the pixels as they were, if it is singular or not one of light.
     """
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
@@ -449,8 +452,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
                 full=full[columns],
                 **options,
             )
+        if np.abs(clean.shares[learned[use]]).max() > _LARGEST_SHARE:
+            raise np.linalg.LinAlgError("the shares are not those of light")
     except np.linalg.LinAlgError:
-        _warn("the model of the pixels is singular: measured fractions are taken")
+        _warn("the model of the pixels fails: measured fractions are taken")
         return pixels, None
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:
@@ -458,7 +463,9 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
     cube[:, known] = clean.still * light[:, None]
-    flux[use] = cube
+    measured = np.nan_to_num(pixels.flux[use])
+    given = full, measured, pixels.aperture & known, learned[use], saturation
+    flux[use] = without_saturation(cube, *given)
     total, total_err = np.full((2, len(use)), np.nan)
     total[use], total_err[use] = light, light_error
     usable = use & (np.nan_to_num(total) > 0)

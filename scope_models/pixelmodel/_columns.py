@@ -6,7 +6,7 @@ that its share of the light follows the dimming, but the column's sum does not d
 
 import numpy as np
 
-__all__ = ["FEWEST", "Columns", "full_columns", "without_saturation"]
+__all__ = ["FEWEST", "Columns", "full_columns"]
 
 #: Branch: what is seen in fewer cadences may be an accident.
 FEWEST = 3
@@ -20,19 +20,6 @@ def full_columns(images, use, saturation):
     if saturation is None:
         return np.zeros(images.shape[2], dtype=bool)
     return (np.sum(images[use] > saturation, axis=0) >= FEWEST).any(axis=0)
-
-
-def without_saturation(images, aperture, full):
-    """Return images in which full columns are drawn again, as if no charge had bled.
-
-    The ``images``, ``(n_cadences, ny, nx)``, become zero outside of the aperture; ``full`` are the
-    full columns, ``(nx,)``.
-    """
-    rows, columns = np.nonzero(aperture)
-    pixels = Columns(np.column_stack([columns, rows]), full[columns])
-    drawn = np.zeros_like(images)
-    drawn[:, aperture] = pixels.drawn(pixels.summed(images[:, aperture]))
-    return drawn
 
 
 class Columns:

@@ -65,6 +65,14 @@ def test_a_star_with_a_real_motion(stars, detector):
     assert row["pld_lightkurve"] < row["lightkurve_pld_lightkurve"]
 
 
+@pytest.mark.parametrize("scale", [2.0, pytest.param(5.0, marks=pytest.mark.slow)])
+def test_a_full_star_with_a_real_motion(stars, scale):
+    """Columns that are full by turns: rows of the star are those of the others."""
+    options = {"magnitudes": (10.5,), "scales": (scale,)}
+    (row,) = stars("paper", MOTIONS[:1], **options, lightkurve_sff=False)
+    assert row["residual_lightkurve"] < 2  # 36 and 67 with the profile of never full columns
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("detector", ["paper", "calibrated"])
 def test_stars_of_all_magnitudes(stars, detector):

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from scope_models.effects._noise import bleed
-from scope_models.pixelmodel._columns import Columns, full_columns, without_saturation
+from scope_models.pixelmodel._columns import Columns, full_columns
 from scope_models.pixelmodel._star import fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -36,70 +36,6 @@ def track():
 
 def everything(images):
     return np.ones(images.shape[1:], dtype=bool), np.ones(len(images), dtype=bool)
-
-
-def redrawn(images, saturation, aperture=None, use=None):
-    every, all_used = everything(images)
-    aperture, use = (every if aperture is None else aperture), (all_used if use is None else use)
-    full = full_columns(np.where(aperture, images, 0.0), use, saturation)
-    return without_saturation(images, aperture, full)
-
-
-def test_drawn_columns_follow_the_star(track):
-    x, y = track
-    images, bled = make_images(x, y)
-    drawn, rows = redrawn(bled, 0.9 * FULL), np.arange(17)
-    bright = images.sum(axis=1) > FULL
-    centers = [
-        np.einsum("ijk,j->ik", a, rows)[bright] / a.sum(axis=1)[bright]
-        for a in (images, drawn, bled)
-    ]
-    errors = [center - centers[0] for center in centers[1:]]
-    assert np.std(errors[0]) < 0.03
-    assert np.std(errors[1]) > 3 * np.std(errors[0])
-
-
-def test_full_columns_do_not_tell_the_brightness(track):
-    x, y = track
-    fractions = {}
-    for light in (1.0, 0.99):
-        _, bled = make_images(x, y, light=light)
-        raw = bled / bled.sum(axis=(1, 2), keepdims=True)
-        images = redrawn(bled, 0.9 * FULL)
-        np.testing.assert_allclose(images.sum(axis=1), bled.sum(axis=1), rtol=1e-9, atol=1e-12)
-        fractions[light] = images / images.sum(axis=(1, 2), keepdims=True), raw
-    drawn, raw = (np.abs(a - b).max() for a, b in zip(*fractions.values(), strict=True))
-    assert drawn < 5e-6
-    assert raw > 500 * drawn
-
-
-def test_columns_that_are_never_full_stay(track):
-    images, _ = make_images(*track)
-    aperture, _ = everything(images)
-    aperture[0, 0] = False
-    for saturation in (None, 1e9):
-        same = redrawn(images, saturation, aperture)
-        np.testing.assert_array_equal(same[:, 0, 0], 0)
-        np.testing.assert_array_equal(same[:, aperture], images[:, aperture])
-    some = redrawn(images, FULL, aperture)
-    np.testing.assert_array_equal(some[:, 1:, [0, 12]], images[:, 1:, [0, 12]])
-    assert np.any(some[:, :, 6] != images[:, :, 6])
-
-
-def test_cadences_that_are_not_used_do_not_count(track):
-    images, _ = make_images(*track, light=0.4)
-    use = np.ones(len(images), dtype=bool)
-    images[100:150] *= 10
-    use[100:150] = False
-    np.testing.assert_array_equal(redrawn(images, FULL, use=use), images)
-
-
-def test_all_columns_full():
-    """Where no column shows the row, light is spread evenly along them."""
-    y = 8 + np.linspace(-1, 1, 50)
-    images = pixel_light(y, 17)[:, :, None] * np.ones(3)
-    expected = np.repeat(images.sum(axis=1, keepdims=True) / 17, 17, axis=1)
-    np.testing.assert_allclose(redrawn(images, 0.1), expected, rtol=1e-12)
 
 
 def test_sums_of_columns():
