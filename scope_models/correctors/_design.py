@@ -13,7 +13,7 @@ from scope_models.correctors._features import (
     shared_columns,
 )
 from scope_models.correctors._pixels import aperture_pixels
-from scope_models.correctors._saturation import without_saturation
+from scope_models.correctors._saturation import find_row_centers, without_saturation
 from scope_models.io import read_pixels
 from scope_models.pixelmodel._columns import full_columns
 from scope_models.pixelmodel._smoothing import Smoother, quantile
@@ -63,7 +63,9 @@ def make_regressors(pixels, use, options):
     mask = pixels.aperture if options.mask is None else options.mask
     images = np.where(mask, np.nan_to_num(pixels.flux[usable]), 0.0)
     full = full_columns(images, use, options.saturation)
-    images = without_saturation(images, full, images, mask, use, options.saturation)
+    if full.any():
+        centers = find_row_centers(images, mask, use, options.saturation)
+        images = without_saturation(images, full, centers, mask)
     images /= total[:, None, None]
     fractions = images[:, mask]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))

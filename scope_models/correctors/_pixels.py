@@ -8,10 +8,10 @@ from astropy.stats import mad_std
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
+from scope_models.correctors._saturation import find_row_centers, without_saturation
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.correctors._saturation import without_saturation
 from scope_models.pixelmodel._columns import FEWEST, full_columns
 from scope_models.pixelmodel._position import (
     COORDINATES,
@@ -19,6 +19,7 @@ from scope_models.pixelmodel._position import (
     FEWEST_DARK,
     dark_plane,
     nearness,
+    polynomials,
     precise_aperture,
 )
 from scope_models.pixelmodel._smoothing import CLIP, quantile
@@ -452,9 +453,9 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
                 full=full[columns],
                 **options,
             )
-        if np.abs(clean.shares[learned[use]]).max() > _LARGEST_SHARE:
-            raise np.linalg.LinAlgError("the shares are not those of light")
     except np.linalg.LinAlgError:
+        clean = None
+    if clean is None or not np.abs(clean.shares[learned[use]]).max() <= _LARGEST_SHARE:
         _warn("the model of the pixels fails: measured fractions are taken")
         return pixels, None
     light, light_error = clean.light, clean.light_error
@@ -463,9 +464,13 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
     cube[:, known] = clean.still * light[:, None]
-    measured = np.nan_to_num(pixels.flux[use])
-    given = full, measured, pixels.aperture & known, learned[use], saturation
-    flux[use] = without_saturation(cube, *given)
+    if full.any():  # rows that follow the position follow no variability beside other stars
+        inside, learned = pixels.aperture & known, learned[use]
+        centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
+        places = polynomials(clean.position)
+        centers = places @ np.linalg.lstsq(places[learned], centers[learned], rcond=None)[0]
+        cube = without_saturation(cube, full, centers, inside)
+    flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)
     total[use], total_err[use] = light, light_error
     usable = use & (np.nan_to_num(total) > 0)

@@ -22,28 +22,22 @@ _MISFIT, _RESPONSE = 1e-3, 0.05
 _FALLBACK = 0.5
 
 
-def without_saturation(images, full, measured, aperture, use, saturation):
+def without_saturation(images, full, centers, aperture):
     """Return images in which full columns do not depend on the star's brightness.
 
     A full pixel stays full when the star dims: its share of the light follows the dimming, and
     must not be a regressor. Charge bleeds along the columns, so that a column's sum does not
-    depend on it, and columns without full pixels constrain the row of the star. Full columns
-    are replaced by images of these alone: a Gaussian along the column about the star's row,
-    as bright as the column.
-
-    The ``images``, ``(n_cadences, ny, nx)``, become zero outside of the ``aperture``; ``full`` are
-    the full columns, ``(nx,)``. Rows are those in ``measured`` images, e-/s, where the cadences in
-    ``use`` determine the star's mean image; ``saturation`` is the flux of a full pixel, e-/s.
+    depend on it. The full columns, ``(nx,)``, are replaced by images of these alone: a Gaussian
+    along the column about the row of their ``centers``, ``(n_cadences, nx)``, as bright as the
+    column. The ``images``, ``(n_cadences, ny, nx)``, become zero outside of the ``aperture``.
     """
     images = np.where(aperture, images, 0.0)
-    if full.any():
-        centers = find_row_centers(measured, aperture, use, saturation)
-        rows = np.arange(images.shape[1])
-        low = (rows[:, None] - 0.5 - centers[:, None, full]) / _DRAWN_WIDTH
-        profile = ndtr(low + 1 / _DRAWN_WIDTH) - ndtr(low)
-        profile = np.where(aperture[:, full], np.maximum(profile, 1e-300), 0.0)
-        profile /= profile.sum(axis=1, keepdims=True)
-        images[:, :, full] = profile * images[:, :, full].sum(axis=1, keepdims=True)
+    rows = np.arange(images.shape[1])
+    low = (rows[:, None] - 0.5 - centers[:, None, full]) / _DRAWN_WIDTH
+    profile = ndtr(low + 1 / _DRAWN_WIDTH) - ndtr(low)
+    profile = np.where(aperture[:, full], np.maximum(profile, 1e-300), 0.0)
+    profile /= profile.sum(axis=1, keepdims=True)
+    images[:, :, full] = profile * images[:, :, full].sum(axis=1, keepdims=True)
     return images
 
 
@@ -62,8 +56,8 @@ def find_row_centers(images, aperture, use, saturation):
     piecewise linear function, and the pixels' responses :math:`1 + \beta_{rc}`, which move the
     center in proportion to the pixel's share q of the column and its lever. One linear
     least-squares fit finds h and :math:`\beta` for all cadences: without them the row
-    would jump when the star comes to other columns. The arguments are those of
-    `without_saturation`.
+    would jump when the star comes to other columns. The cadences in ``use`` determine it;
+    ``saturation`` is the flux of a full pixel, in the unit of the ``images``.
     """
     images = np.where(aperture, images, 0.0)
     rows, columns = np.arange(images.shape[1]), np.arange(images.shape[2])

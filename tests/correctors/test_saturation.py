@@ -42,7 +42,8 @@ def redrawn(images, saturation, aperture=None, use=None):
     every, all_used = everything(images)
     aperture, use = (every if aperture is None else aperture), (all_used if use is None else use)
     full = full_columns(np.where(aperture, images, 0.0), use, saturation)
-    return without_saturation(images, full, images, aperture, use, saturation)
+    centers = find_row_centers(images, aperture, use, np.inf if saturation is None else saturation)
+    return without_saturation(images, full, centers, aperture)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
@@ -122,4 +123,6 @@ def test_all_columns_full():
     y = 8 + np.linspace(-1, 1, 50)
     images = pixel_light(y, 17)[:, :, None] * np.ones(3)
     found = find_row_centers(images, *everything(images), 0.1)
-    np.testing.assert_allclose(found - found.mean(), (y - y.mean())[:, None] * np.ones(3), atol=0.02)
+    np.testing.assert_allclose(
+        found - found.mean(), (y - y.mean())[:, None] * np.ones(3), atol=0.02
+    )
