@@ -73,6 +73,7 @@ def test_a_full_star_with_a_real_motion(stars, scale):
     assert row["residual_lightkurve"] < 2  # 36 and 67 with the profile of never full columns
 
 
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")  # of 20 px motion
 @pytest.mark.slow
 @pytest.mark.parametrize("detector", ["paper", "calibrated"])
 def test_stars_of_all_magnitudes(stars, detector):
