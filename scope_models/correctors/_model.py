@@ -32,8 +32,6 @@ __all__ = ["PLDModel", "PLDOptions", "Settings"]
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "changing", "measured")
-#: Branch: part of the cadences with much light for which predicted fractions must exist.
-_CREDIBLE = 0.9
 #: Branch: logarithm of the odds for other fractions that are decisive on Jeffreys' scale.
 _DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
@@ -200,6 +198,9 @@ class PLDModel:
         if columns:
             extra["regressors"] = external_columns(columns, series.cadenceno)
         saturation = options.full_flux(series)
+        if pixels.weights is None and pixels.loses_charge(use & pixels.usable, saturation):
+            message = "charge of full pixels bleeds out of `aperture_mask`: give it whole columns"
+            warnings.warn(message, DetrendingWarning, stacklevel=5)
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
@@ -207,13 +208,10 @@ class PLDModel:
             predicted, clean = with_predicted_fractions(
                 pixels, series.pos_corr, use, saturation, changing=changing, state=state
             )
-            bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
-            if clean and predicted.usable[bright].mean() > _CREDIBLE:
+            if clean:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
                 pixels, saturation = predicted, None
-            else:  # the model of the pixels has diverged
-                clean = None
         if clean is None:
             if "background" not in extra:
                 extra["level"] = level_column(pixels, use)

@@ -69,7 +69,8 @@ _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 OTHER_STAR = 0.02
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
 _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
-#: Branch: no pixel has more than all of the light: a model with twice as much has diverged.
+#: Branch: no pixel has more than all of the light, but for the noise of a faint star: a model with
+#: twice as much has diverged, by orders of magnitude.
 _LARGEST_SHARE = 2.0
 
 
@@ -127,6 +128,12 @@ class Pixels:
     def full_columns(self, use, saturation):
         """Return which columns of the aperture are full, ``(nx,)``, at ``saturation``, e-/s."""
         return full_columns(np.where(self.aperture, self.flux, 0.0), use, saturation)
+
+    def loses_charge(self, use, saturation):
+        """Return whether full pixels are above or below the aperture: it lacks what has bled."""
+        above_and_below = np.array([[0, 1, 0]] * 3, dtype=bool)
+        beside = ndimage.binary_dilation(self.aperture, above_and_below) & ~self.aperture
+        return bool(full_columns(np.where(beside, self.flux, 0.0), use, saturation).any())
 
     def quiet(self, use):
         """Return the cadences in use without rolling bands, unless these are in most."""

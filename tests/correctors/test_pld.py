@@ -484,6 +484,19 @@ def test_a_full_star_keeps_a_bump():
     assert found["measured"].full > 2 * found["auto"].full
 
 
+def test_an_aperture_that_cuts_off_a_bleed():
+    regime = SkyRegime("full", mission="K2", magnitude=9.5, shape=(13, 13))
+    tpf, small = make_sky(regime, 5, n_cadences=300).to_tpf(), np.zeros((13, 13), dtype=bool)
+    small[5:8, 5:8] = True
+    found = []
+    for aperture in (small, None):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            PLDCorrector(tpf, aperture).correct()
+        found.append(any("bleeds out of `aperture_mask`" in str(w.message) for w in caught))
+    assert found == [True, False]
+
+
 def test_background_beside_a_full_star_is_of_the_pixels_that_were_asked_for():
     """Also those of its neighbors, which no model of the star alone holds."""
     regime = SkyRegime("full", mission="K2", magnitude=10.5, neighbors=((1.0, 4.0, 0.0),))

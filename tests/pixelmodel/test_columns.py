@@ -18,26 +18,6 @@ def pixel_light(x, n, sigma=0.5):
     return np.diff(ndtr(edges), axis=-1)
 
 
-def make_images(x, y, *, response=1.0, light=1.0, full=FULL, shape=(17, 13)):
-    """Images of a star at (x, y), and how they bleed."""
-    ny, nx = shape
-    rows = pixel_light(y, ny)[:, :, None]
-    images = light * rows * pixel_light(x, nx, 0.7)[:, None, :] * response
-    return images, bleed(images.copy(), full)
-
-
-@pytest.fixture
-def track():
-    """Positions that come to other columns and rows."""
-    t = np.arange(400)
-    x = 6 + 1.5 * np.sin(2 * np.pi * t / 97) + 0.1 * np.sin(t)
-    return x, 8 + 1.2 * np.sin(2 * np.pi * t / 61)
-
-
-def everything(images):
-    return np.ones(images.shape[1:], dtype=bool), np.ones(len(images), dtype=bool)
-
-
 def test_sums_of_columns():
     """Full columns are one, the others stay; drawn again, the sums are the same."""
     grid = np.stack(np.meshgrid(np.arange(4), np.arange(9)), axis=-1).reshape(-1, 2)
@@ -68,7 +48,8 @@ def test_light_of_a_star_with_full_columns():
     y = 8.2 + 0.5 * (time / 0.245 % 1 - 0.5) ** 2 + 0.05 * np.cos(0.7 * time)
     response = 1 + 0.02 * rng.normal(size=(17, 13))
     signal = 1 + 0.02 * np.sin(2 * np.pi * time / 0.9)
-    images = make_images(x, y, response=response)[0] * signal[:, None, None]
+    images = pixel_light(y, 17)[:, :, None] * pixel_light(x, 13, 0.7)[:, None, :] * response
+    images *= signal[:, None, None]
     images = 1e7 * bleed(images, FULL)
     total = images.sum(axis=(1, 2))
     true = images.sum(axis=1) / total[:, None]
