@@ -25,6 +25,7 @@ _POSITIONS = ("wrong", "exact", "none")
 # Errors of POS_CORR in real files: of the scale; slow, over days, and of each cadence, pixels.
 _SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
 _ARGABRIGHTENING = 4096  # on the CCD
+_SAMPLES = 9  # of the light of an exposure: a jump within it is right to 1/18
 
 # Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
 # magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
@@ -59,7 +60,8 @@ class MessyStar(Value):
         True positions of the star in the stamp, pixels, NaN where it is off the stamp; and true
         relative width of the PSF.
     true_flux, transit : ndarray, shape (n,)
-        True relative flux of the star, variability and transits; and the transits alone.
+        True relative flux of the star, variability and transits, averaged over exposures; and the
+        transits alone.
     star_light, neighbor_light, background_light, sky : ndarray, shape (n, ny, nx)
         The star's own light in each pixel, without noise (and before full pixels spill), the
         neighbors' light, the background that is left in `flux`, and what the pipeline took off.
@@ -191,10 +193,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     photometer = _PHOTOMETERS[regime.mission]
     exposure, read_noise = photometer.exposure * part, photometer.read_noise * np.sqrt(part)
     time = regime.cadence * np.arange(n)
-    light = LIGHTS[regime.star](rngs["star"], time, regime.period, regime.amplitude)
-    inside = make_transit(rngs["star"], time, regime.transit_period, regime.duration)
-    transit = 1 - regime.depth * inside
-    true_flux = light * transit
+    true_flux, transit, outside = _variability(regime, rngs["star"], n)
     shared = _field(regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n)
     own, others, (x, y), width, offsets, firing = shared
     lost = rngs["positions"].permutation(n)[: regime.lost]
@@ -211,7 +210,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     electrons[hits] += 3000 * rngs["rays"].lognormal(0, 1, hits.sum())  # that the pipeline missed
     # Transits do not change the aperture: a star with and without them has the same.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
-    outside = on & (inside == 0)
+    outside &= on
     aperture = _best_aperture(seen[outside], noise[outside] / exposure, part)
     given = rngs["positions"], time, quality, lost, positions
     pos_corr = [_measured(offset, *given) for offset in offsets]
@@ -264,6 +263,18 @@ def score(lc, sky):
         sky.regime.cadence * rows, flux, error, sky.true_flux[rows], sky.transit[rows],
         sky.floor(),
     )  # fmt: skip
+
+
+def _variability(regime, rng, n):
+    """Return the relative flux of a star, transits alone and where there are none, by exposure."""
+    time = regime.cadence * ((np.arange(n * _SAMPLES) + 0.5) / _SAMPLES - 0.5)
+    light = LIGHTS[regime.star](rng, time, regime.period, regime.amplitude)
+    inside = make_transit(rng, time, regime.transit_period, regime.duration)
+    flux, alone, inside = (
+        values.reshape(n, -1).mean(axis=1)
+        for values in (light * (1 - regime.depth * inside), light, inside)
+    )
+    return flux, flux / alone, inside == 0
 
 
 def _generators(regime, seed):

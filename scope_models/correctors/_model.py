@@ -23,7 +23,7 @@ from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import fit
+from scope_models.correctors._solution import DECISIVE, fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._star import StarModel
 
@@ -32,8 +32,6 @@ __all__ = ["PLDModel", "PLDOptions", "Settings"]
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "changing", "measured")
-#: Branch: logarithm of the odds for other fractions that are decisive on Jeffreys' scale.
-_DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
 
@@ -295,10 +293,10 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
-    predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
-    they are wrong, and measured ones are taken if they predict these better, unless they may follow
-    the star by more than the noise of 6.5 h, with the light beside it that may be left. Where a
-    walk, which may be the star's, explains that noise, they must be decisively better.
+    predict unseen windows decisively better. Where they leave decisively more noise than FLUX_ERR
+    may lack, they are wrong, and measured ones are taken if they predict these better, unless they
+    may follow the star by more than the noise of 6.5 h, with the light beside it that may be left.
+    Where a walk, which may be the star's, explains that noise, they must be decisively better.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -314,13 +312,13 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         try:
             other = model_with(replace(options, fractions="changing"))
             trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
-            if trial and _gain(trial, fitted) > _DECISIVE:
+            if trial and _gain(trial, fitted) > DECISIVE:
                 fitted = other.fit(cadence_mask, **transit)
             wrong, walk = fitted.solution.noise_is_outlier, fitted.solution.hyper.walk
             if _may_follow(fitted) or not (wrong or walk):
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
-            return other if _gain(other, fitted) > (0 if wrong else _DECISIVE) else fitted
+            return other if _gain(other, fitted) > (0 if wrong else DECISIVE) else fitted
         except ValueError:  # they cannot be fitted
             return fitted
 

@@ -16,10 +16,11 @@ from scope_models.correctors._regression import (
     log_likelihood,
 )
 from scope_models.correctors._short import short_changes, with_edges
-from scope_models.pixelmodel._smoothing import CLIP
 
-__all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
+__all__ = ["DECISIVE", "NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 
+#: Branch: logarithm of the odds that are decisive on Jeffreys' scale.
+DECISIVE = np.log(100)
 #: Tolerance: factor of the variance of cadences that have next to no weight.
 _NO_WEIGHT = 1e6
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
@@ -104,8 +105,9 @@ class Solution:
 
     @property
     def noise_is_outlier(self):
-        """Whether there is more white noise than FLUX_ERR may lack."""
-        return np.log(self.hyper.noise_scale) > CLIP * NOISE_ERROR
+        """Whether there is decisively more white noise than FLUX_ERR may lack."""
+        excess = np.log(self.hyper.noise_scale) / NOISE_ERROR
+        return excess > np.sqrt(2 * DECISIVE)
 
     @cached_property
     def process(self):

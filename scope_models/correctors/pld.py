@@ -179,8 +179,8 @@ class PLDCorrector(LightkurveNames, Corrector):
             measured. Measured fractions follow the star where other light is in the aperture. By
             default predicted ones, and those of changing images if they predict unseen windows
             decisively better; measured ones if they do so at all (decisively, where the noise may
-            be a walk of the star), the others leave more noise than FLUX_ERR may lack, and other
-            light cannot make them follow the star by more than the noise of 6.5 h.
+            be a walk of the star), the others leave decisively more noise than FLUX_ERR may lack,
+            and other light cannot make them follow the star by more than the noise of 6.5 h.
             ``pld_aperture_mask``, background as a regressor, fewer than 200 cadences or 4 pixels,
             and a moving aperture over full pixels allow measured ones only.
         regressors : object or list, optional

@@ -147,6 +147,14 @@ def test_a_star_without_its_transits_shares_everything_else(sky, study):
     assert kept == pytest.approx(np.average(share), abs=0.008)
 
 
+def test_light_is_averaged_over_exposures():
+    """The amplitude of a sine is the sinc of its phase within an exposure."""
+    regime = SkyRegime("fast", star="sine", period=0.12, amplitude=0.1)
+    flux = make_sky(regime, seed=1, n_cadences=600).true_flux - 1
+    x = np.pi * regime.cadence / regime.period
+    assert np.sqrt(2) * flux.std() == pytest.approx(0.1 * np.sin(x) / x, rel=2e-3)  # of 0.95
+
+
 def test_leaks_are_found_with_their_errors(study, one_thread):  # noqa: ARG001
     leak_slopes = study["leak_slopes"]
     # A known slope in slow noise: the pulls of many draws are those of a Gaussian.
