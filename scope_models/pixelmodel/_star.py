@@ -371,7 +371,7 @@ def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
     focus = states.focus + change[3]
     found = _without_other_causes(stamp, focus, error[:4], position, variable)
     focus, error[3] = stamp.smoothed(found, error[3], "focus")
-    shift = by_focus * (focus - found)
+    shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
     shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
     brightness += shift[0]
     position += shift[1:3].T
