@@ -273,6 +273,17 @@ def test_rolling_bands_are_background():
     assert abs(part[banded].mean()) < 0.3 * part[~banded].std()
 
 
+def test_light_where_nothing_is_learned_does_not_follow_a_guessed_focus():
+    """A third of the cadences, between which the width of a bright star changes by 1 %."""
+    x, y, measured = motion()
+    width = SIGMA * (1 + 0.01 * np.sin(2 * np.pi * TIME / 1.5))
+    use = TIME % 3 > 1
+    found = clean(FLUX * image(x, y, width) + 5, measured, use=use)
+    part = found.light / np.median(found.light) - 1
+    assert part[~use].std() < 1.3 * part[use].std() < 2 * np.median(found.light_error) / FLUX
+    assert abs(part[~use].mean()) < 0.3 * part[use].std()
+
+
 def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     x, y, measured = motion()
     flux, error = observed(800 * image(x, y))
