@@ -369,7 +369,8 @@ def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]
-    found = _without_other_causes(stamp, focus, error[:4], position, variable)
+    shared = by_focus[1:3] * error[3] ** 2
+    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable)
     focus, error[3] = stamp.smoothed(found, error[3], "focus")
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
     shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
@@ -473,13 +474,14 @@ def _on_scale(stamp, position, variable):
     return position + columns @ change
 
 
-def _without_other_causes(stamp, focus, error, position, variable):
+def _without_other_causes(stamp, focus, error, shared, position, variable):
     """Return the focus without what positions and brightness explain.
 
     A width that follows the position may as well be in the images. Of all courses that differ by
     this, that which changes least from cadence to cadence is taken: a slow drift of both is no
     reason why the focus should follow the roll. What changes have beyond noise is the variance that
-    positions are expected to explain, beyond their uncertainty.
+    positions are expected to explain, beyond their uncertainty. Errors of positions and focus have
+    a ``shared`` covariance, ``(2, n)``, which is no reason either.
     """
     use = stamp.use
     moved, changed = np.diff(position[use], axis=0), np.diff(focus[use])
@@ -487,7 +489,8 @@ def _without_other_causes(stamp, focus, error, position, variable):
     signal = max(np.mean(changed**2) - noise, 1e-12 * noise)
     expected = noise * np.mean(moved**2, axis=0).sum() / signal
     gram = moved.T @ moved + len(moved) * np.diag(places) + expected * np.eye(2)
-    focus = focus - position @ np.linalg.solve(gram, moved.T @ changed)
+    right = moved.T @ changed - 2 * len(moved) * quantile(shared[:, use])
+    focus = focus - position @ np.linalg.solve(gram, right)
     own = np.column_stack([np.ones(len(use)), variable])
     return focus - own @ np.linalg.lstsq(own[use], focus[use], rcond=None)[0]
 

@@ -1,5 +1,7 @@
 """Predicted pixel fractions, on stars whose images are integrals of Gaussians."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -7,7 +9,7 @@ from scipy.special import erf
 from scope_models.pixelmodel._columns import Columns
 from scope_models.pixelmodel._position import Flow, precise_aperture
 from scope_models.pixelmodel._smoothing import Smoother
-from scope_models.pixelmodel._star import IMAGE_ERROR, fit_star
+from scope_models.pixelmodel._star import IMAGE_ERROR, _without_other_causes, fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -282,6 +284,21 @@ def test_light_where_nothing_is_learned_does_not_follow_a_guessed_focus():
     part = found.light / np.median(found.light) - 1
     assert part[~use].std() < 1.3 * part[use].std() < 2 * np.median(found.light_error) / FLUX
     assert abs(part[~use].mean()) < 0.3 * part[use].std()
+
+
+def test_correlated_errors_do_not_make_a_width_follow_the_position():
+    """A star moves slowly, and errors of its width have a correlation of 0.8 with those of x."""
+    rng, time = np.random.default_rng(6), np.arange(3000)
+    noise = rng.multivariate_normal([0, 0], 1e-6 * np.array([[1, 0.8], [0.8, 1]]), len(time)).T
+    x, drift = np.sin(time / 50), 0.001 * np.cos(time / 90)
+    position = np.column_stack([x + noise[0], 0.5 * x + 0.001 * rng.normal(size=len(time))])
+    shared = np.full((2, len(time)), 8e-7) * [[1], [0]]
+    stamp = SimpleNamespace(use=np.ones(len(time), dtype=bool))
+    focus, error = noise[1] + drift, np.full((4, len(time)), 1e-3)
+    for covariance, least, most in ((shared, 0.0, 0.001), (0 * shared, 0.003, 0.1)):
+        left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x)
+        slope = np.polyfit(x, focus - left, 1)[0]
+        assert least <= abs(slope) <= most
 
 
 def test_light_of_a_faint_star_has_less_noise_than_the_sum():
