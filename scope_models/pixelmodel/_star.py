@@ -490,9 +490,13 @@ def _without_other_causes(stamp, focus, error, shared, position, variable):
     expected = noise * np.mean(moved**2, axis=0).sum() / signal
     gram = moved.T @ moved + len(moved) * np.diag(places) + expected * np.eye(2)
     right = moved.T @ changed - 2 * len(moved) * quantile(shared[:, use])
-    focus = focus - position @ np.linalg.solve(gram, right)
-    own = np.column_stack([np.ones(len(use)), variable])
-    return focus - own @ np.linalg.lstsq(own[use], focus[use], rcond=None)[0]
+    return _without(variable, focus - position @ np.linalg.solve(gram, right), use)
+
+
+def _without(causes, values, use):
+    """Return values without their mean and what they have in common with causes."""
+    columns = np.column_stack([np.ones(len(values)), causes])
+    return values - columns @ np.linalg.lstsq(columns[use], values[use], rcond=None)[0]
 
 
 def _light(stamp, states, shape, images, flux_err, *, changing):
@@ -501,9 +505,10 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
     Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise, and
     at rare places images are uncertain. These errors, as the images, add up to nothing over the
     aperture: where they dominate, the light is the sum, and where noise does, it has optimal
-    weights. The focus is as uncertain as it varies, for such weights are much more sensitive to the
-    width than a sum is. With images that change, what dark pixels miss is more noise, and so is a
-    fluctuating background. Pixels with cosmic rays are replaced.
+    weights. The focus is as uncertain as what of it does not follow the position (the rest may as
+    well be in the images), for such weights are much more sensitive to the width than a sum is.
+    With images that change, what dark pixels miss is more noise, and so is a fluctuating
+    background. Pixels with cosmic rays are replaced.
     """
     rest = _rest(stamp, states, images)
     rest[~states.good] = 0.0
@@ -535,7 +540,7 @@ def _light(stamp, states, shape, images, flux_err, *, changing):
         for j in range(i + 1):  # only the lower triangle is used
             hessian[i, j] = np.einsum("ij,ij->i", column, columns[j])
     hessian[[1, 2], [1, 2]] += stamp.place
-    hessian[3, 3] += 1 / max(np.var(states.focus[use]), 1e-12)
+    hessian[3, 3] += 1 / max(np.var(_without(states.position, states.focus, use)[use]), 1e-12)
     hessian[4, 4] += 1 / max(fluctuation, 1e-12 * stamp.noise.min())
     first = np.zeros(hessian.shape[1:])
     first[0] = 1

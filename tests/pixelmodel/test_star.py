@@ -1,5 +1,6 @@
 """Predicted pixel fractions, on stars whose images are integrals of Gaussians."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,13 @@ from scipy.special import erf
 from scope_models.pixelmodel._columns import Columns
 from scope_models.pixelmodel._position import Flow, precise_aperture
 from scope_models.pixelmodel._smoothing import Smoother
-from scope_models.pixelmodel._star import IMAGE_ERROR, _without_other_causes, fit_star
+from scope_models.pixelmodel._star import (
+    IMAGE_ERROR,
+    _images,
+    _light,
+    _without_other_causes,
+    fit_star,
+)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -299,6 +306,23 @@ def test_correlated_errors_do_not_make_a_width_follow_the_position():
         left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x)
         slope = np.polyfit(x, focus - left, 1)[0]
         assert least <= abs(slope) <= most
+
+
+def test_a_width_that_follows_the_position_is_no_noise_of_the_light():
+    x, y, measured = motion()
+    flux, error = observed(800 * image(x, y))
+    aperture, state = np.abs(GRID - 4).max(axis=1) < 2, {}
+    fit_star(TIME, flux, error, measured, GRID, aperture, state=state)
+    stamp, states, shape = state["fitted"]
+    images = _images(stamp, states, shape, stamp.functions(states.position))
+
+    def noise(width):
+        changed = replace(states, focus=width + 0 * states.focus)
+        return np.median(_light(stamp, changed, shape, images, error, changing=False)[1])
+
+    assert noise(states.position[:, 0]) == pytest.approx(noise(0.0), rel=1e-6)
+    width = states.position[:, 0].std() * np.random.default_rng(7).normal(size=len(x))
+    assert noise(width) > 1.02 * noise(0.0)
 
 
 def test_light_of_a_faint_star_has_less_noise_than_the_sum():
