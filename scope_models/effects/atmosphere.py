@@ -1,7 +1,6 @@
 """The atmosphere above a telescope on the ground, and the places of star and Moon in its sky."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +9,7 @@ from astropy.time import Time
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models.effects.base import Drawn, Effect, series_of
+from scope_models.effects.base import Drawn, Effect, per_cadence, series_of
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["Extinction", "Scintillation", "Seeing", "airmass", "moon_geometry"]
@@ -146,12 +145,6 @@ def moon_geometry(time, coord, location):
     }
 
 
-class AirEffect(Effect):
-    """An effect with an airmass, a number or one for each cadence."""
-
-    by_cadence: ClassVar = {"airmass": ("", 1)}
-
-
 def _red_noise(generator, time, correlation_time):
     """Return a Gauss-Markov process of unit variance at any times."""
     values = generator.standard_normal(len(time))
@@ -161,7 +154,7 @@ def _red_noise(generator, time, correlation_time):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Extinction(AirEffect):
+class Extinction(Effect):
     r"""Light of the stars that the atmosphere absorbs and scatters.
 
     .. math:: f(t) = 10^{-0.4 [k X(t) + c(t)]}
@@ -203,7 +196,7 @@ class Extinction(AirEffect):
     """
 
     coefficient: float = number(0.07, "mag")
-    airmass: float | np.ndarray = 1.0
+    airmass: float | np.ndarray = field(default=1.0, metadata=per_cadence(low=1))
     scatter: float = number(0.0, "mag")
     correlation_time: float = number(0.1, "day", positive=True)
 
@@ -219,7 +212,7 @@ class Extinction(AirEffect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scintillation(AirEffect):
+class Scintillation(Effect):
     r"""Changes of the stars' light by turbulence high above the telescope.
 
     .. math:: \sigma^2 = 10^{-5} C_Y^2 D^{-4/3} t^{-1} X^3 e^{-2 h / H}
@@ -260,7 +253,7 @@ class Scintillation(AirEffect):
 
     aperture: float = number(1.0, "m", positive=True)
     altitude: float = number(2400.0, "m")
-    airmass: float | np.ndarray = 1.0
+    airmass: float | np.ndarray = field(default=1.0, metadata=per_cadence(low=1))
     coefficient: float = number(1.56)
     scale_height: float = number(8000.0, "m", positive=True)
 
@@ -299,7 +292,7 @@ class Scintillation(AirEffect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Seeing(AirEffect):
+class Seeing(Effect):
     r"""The width of the PSF with the seeing.
 
     .. math:: w(t) = X(t)^{3/5} e^{s\,g(t)}
@@ -332,7 +325,7 @@ class Seeing(AirEffect):
 
     scatter: float = number(0.15)
     correlation_time: float = number(0.02, "day", positive=True)
-    airmass: float | np.ndarray = 1.0
+    airmass: float | np.ndarray = field(default=1.0, metadata=per_cadence(low=1))
 
     def draw(self, conditions, generator):
         time = conditions.time

@@ -1,14 +1,12 @@
 """Diffuse light, of the sky in space and on the ground, and the residual of its subtraction."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models.effects.atmosphere import AirEffect
-from scope_models.effects.base import Drawn, Effect, series_of
+from scope_models.effects.base import Drawn, Effect, per_cadence, series_of
 
 __all__ = ["Argabrightening", "Background", "NightSky", "ScatteredLight"]
 
@@ -77,9 +75,7 @@ class Background(SkyEffect):
     drift: float = number(0.0, "electron / (s day)", any_sign=True)
     gradient: tuple[float, float] = number((0.0, 0.0))
     residual: float = number(0.0, any_sign=True)
-    left: np.ndarray | None = None
-
-    by_cadence: ClassVar = {"left": (_RATE,)}
+    left: np.ndarray | None = field(default=None, metadata=per_cadence(_RATE))
 
     def draw(self, conditions, generator):
         time = conditions.time
@@ -218,7 +214,7 @@ class Argabrightening(SkyEffect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NightSky(AirEffect, SkyEffect):
+class NightSky(SkyEffect):
     r"""Brightness of the sky by airmass and Moon.
 
     The detector's background is the dark sky at the zenith. Toward the horizon it has the factor
@@ -272,20 +268,14 @@ class NightSky(AirEffect, SkyEffect):
     [96.]
     """
 
-    airmass: float | np.ndarray = 1.0
-    moon_altitude: float | np.ndarray = -90.0
-    moon_separation: float | np.ndarray = 90.0
-    moon_phase: float | np.ndarray = 180.0
+    airmass: float | np.ndarray = field(default=1.0, metadata=per_cadence(low=1))
+    moon_altitude: float | np.ndarray = field(default=-90.0, metadata=per_cadence("deg", -90, 90))
+    moon_separation: float | np.ndarray = field(default=90.0, metadata=per_cadence("deg", 0, 180))
+    moon_phase: float | np.ndarray = field(default=180.0, metadata=per_cadence("deg", 0, 180))
     extinction: float = number(0.11, "mag")
     dark_sky: float = number(21.6, "mag")
     gradient: tuple[float, float] = number((0.0, 0.0))
     residual: float = number(0.0, any_sign=True)
-
-    by_cadence: ClassVar = AirEffect.by_cadence | {
-        "moon_altitude": ("deg", -90, 90),
-        "moon_separation": ("deg", 0, 180),
-        "moon_phase": ("deg", 0, 180),
-    }
 
     def draw(self, conditions, generator):
         airmass, moon_altitude, moon_separation, moon_phase = (

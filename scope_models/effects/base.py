@@ -3,7 +3,6 @@
 import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import ClassVar
 
 import numpy as np
 
@@ -246,9 +245,6 @@ class Effect(Value):
     is_light = True
     #: Place among the effects of a stage; effects of one place act in the order of their names.
     place = 0
-    #: Parameters that have one value for each cadence, with their unit; or, if there are limits,
-    #: one for all or for each.
-    by_cadence: ClassVar = {}
 
     def __init_subclass__(cls, **options):
         """Complete the docstring: all effects check their parameters alike."""
@@ -261,13 +257,17 @@ class Effect(Value):
 
     def __post_init__(self):
         check_fields(self)
-        for name, domain in self.by_cadence.items():
-            checked_series(self, name, *domain)
 
     @property
     def name(self):
         """Name of the effect's stream of random numbers, and of its truth."""
         return type(self).__name__
+
+    @property
+    def by_cadence(self):
+        """Names of the parameters that have, or may have, one value for each cadence."""
+        checks = {item.name: item.metadata.get("check") for item in fields(self)}
+        return [name for name, check in checks.items() if check is checked_series]
 
     def at(self, time, new):
         """Return the effect at other times; its values per cadence are interpolated.
@@ -346,11 +346,14 @@ def checked_several(name, values, kind):
     return values
 
 
-def checked_series(effect, name, unit, low=None, high=np.inf):
-    """Bring a field of an effect to its unit: a finite array or None, or a number in its limits."""
-    if low is None and getattr(effect, name) is None:
-        return
-    values = plain_array(getattr(effect, name), unit, name)
+def per_cadence(unit="", low=None, high=np.inf):
+    """Mark a field of an effect: one value for each cadence, or for all if there are limits."""
+    return {"check": checked_series, "unit": unit, "low": low, "high": high}
+
+
+def checked_series(name, values, unit, low=None, high=np.inf):
+    """Return a finite array in a unit; if there are limits, an array or a number within them."""
+    values = plain_array(values, unit, name)
     if low is None:
         right, wanted = values.ndim == 1, "a finite one-dimensional array"
     else:
@@ -359,7 +362,7 @@ def checked_series(effect, name, unit, low=None, high=np.inf):
         wanted += ", one number or one for each cadence"
     if not right or not np.all(np.isfinite(values)):
         raise ValueError(f"`{name}` must be {wanted}")
-    object.__setattr__(effect, name, frozen(values) if values.ndim else float(values))
+    return frozen(values) if values.ndim else float(values)
 
 
 def number_of_events(generator, expected):

@@ -4,15 +4,21 @@ Where the focus changes, all distances from the star's position scale with the r
 and the flux stays: :math:`p_w(x, y) = p(x_0 + (x - x_0) / w, y_0 + (y - y_0) / w) / w^2`.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from scope_models._arrays import plain_time
 from scope_models._checks import integer, number
 from scope_models.effects._noise import correlated
-from scope_models.effects.base import Drawn, Effect, Exposures, checked_series, series_of
+from scope_models.effects.base import (
+    Drawn,
+    Effect,
+    Exposures,
+    checked_series,
+    per_cadence,
+    series_of,
+)
 
 __all__ = ["Focus", "Jitter"]
 
@@ -63,14 +69,12 @@ class Focus(Effect):
     thermal: float = number(0.0, any_sign=True)
     thermal_time: float = number(1.0, "day", positive=True)
     events: np.ndarray = ()
-    series: np.ndarray | None = None
-
-    by_cadence: ClassVar = {"series": ("",)}
+    series: np.ndarray | None = field(default=None, metadata=per_cadence())
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "events", plain_time(self.events, None, "events"))
-        checked_series(self, "events", "day")
+        events = checked_series("events", plain_time(self.events, None, "events"), "day")
+        object.__setattr__(self, "events", events)
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 

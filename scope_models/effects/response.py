@@ -1,14 +1,13 @@
 """Changes of the response in time: of all pixels, of single pixels, and cadences without data."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import number
 from scope_models._values import frozen
-from scope_models.effects.base import Drawn, Effect, number_of_events, series_of
+from scope_models.effects.base import Drawn, Effect, number_of_events, per_cadence, series_of
 
 __all__ = ["Gaps", "SensitivityDropouts", "Throughput"]
 
@@ -54,9 +53,7 @@ class Throughput(Effect):
     period: float = number(1.0, "day", positive=True)
     phase: float = number(0.0, any_sign=True)
     drift: float = number(0.0, "1 / day", any_sign=True)
-    series: np.ndarray | None = None
-
-    by_cadence: ClassVar = {"series": ("",)}
+    series: np.ndarray | None = field(default=None, metadata=per_cadence())
 
     def draw(self, conditions, generator):
         time = conditions.time
