@@ -38,7 +38,7 @@ def checked_model(name, model):
 
 
 def checked_number(
-    name, value, unit="", *, positive=False, any_sign=False, at_most=np.inf, **options
+    name, value, unit="", *, positive=False, any_sign=False, at_most=np.inf, below=np.inf, **options
 ):
     """Return a finite number in a unit as a float; ``options`` are those of `plain_number`."""
     value = plain_number(value, unit, name, **options)
@@ -51,6 +51,8 @@ def checked_number(
     if abs(value) > at_most:
         wanted = f"be within -{at_most} to {at_most}" if value < 0 else f"not be above {at_most}"
         raise ValueError(f"`{name}` must {wanted}, got {value}")
+    if abs(value) >= below:
+        raise ValueError(f"`{name}` must be below {below}, got {value}")
     return value
 
 

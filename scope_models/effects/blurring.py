@@ -63,7 +63,7 @@ class Focus(Effect):
     1.01
     """
 
-    amplitude: float = number(0.0, any_sign=True)
+    amplitude: float = number(0.0, any_sign=True, below=1)
     period: float = number(1.0, "day", positive=True)
     phase: float = number(0.0, any_sign=True)
     thermal: float = number(0.0, any_sign=True)
@@ -75,8 +75,6 @@ class Focus(Effect):
         super().__post_init__()
         events = checked_series("events", plain_time(self.events, None, "events"), "day")
         object.__setattr__(self, "events", events)
-        if abs(self.amplitude) >= 1:
-            raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 
     def draw(self, conditions, generator):
         time = conditions.time

@@ -249,16 +249,10 @@ class ChargeTransferInefficiency(Effect):
     [[[  0.     0.   990.05   9.9    0.05]]]
     """
 
-    parallel: float = number(1e-5)
-    serial: float = number(1e-5)
+    parallel: float = number(1e-5, below=0.1)
+    serial: float = number(1e-5, below=0.1)
     rows: int = integer(512, 1)
     columns: int = integer(550, 1)
-
-    def __post_init__(self):
-        super().__post_init__()
-        for name in ("parallel", "serial"):
-            if getattr(self, name) >= 0.1:
-                raise ValueError(f"`{name}` must be below 0.1, got {getattr(self, name)}")
 
     def readout(self, drawn, conditions, part, electrons):
         ny, nx = electrons.shape[1:]
