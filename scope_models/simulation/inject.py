@@ -1,7 +1,6 @@
 """Adds signals and stars to the pixels of target pixel files, real or simulated."""
 
 import warnings
-from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
@@ -15,7 +14,6 @@ from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
-from scope_models.simulation.observation import Observation
 from scope_models.simulation.simulate import simulate
 
 __all__ = ["inject"]
@@ -94,48 +92,37 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     if signal is None:
         if not isinstance(star, Star):
             raise TypeError(f"`star` must be a Star if there is no `signal`, got {star!r}")
-        relative, change = np.ones(len(series)), _added(star, original, series)
+        relative, kept, residual = np.ones(len(series)), 1.0, 0.0
+        change, after = _added(star, original, series)
     else:
         relative = _relative_flux(signal, original, whole)[rows]
-        change = _multiplied(star, relative, original, series, error**2 * exposure)
+        given = star, relative, original, series, error**2 * exposure
+        change, kept, residual, after = _multiplied(*given)
     table = hdus[1].data
-    flux = series.flux + change.expected
+    flux = series.flux + change
     if noise:
-        drawn, error = change.noise(error**2, exposure, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        drawn, error = _noise(change / exposure, error**2, kept, residual, rng)
         flux = flux + drawn
         table["FLUX_ERR"][rows] = np.where(known, error, series.flux_err)
     table["FLUX"][rows] = flux
     hdus[1].header.remove("CHECKSUM", ignore_missing=True)
     hdus[1].header.remove("DATASUM", ignore_missing=True)
-    if change.after is not None:
-        new = change.after.to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
+    if after is not None:
+        new = after.to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
         for hdu in new[new.index_of("TRUTH") :]:
             hdus[hdu.name] = hdu
-    added = np.where(np.isfinite(series.flux), change.expected, 0.0)
+    added = np.where(np.isfinite(series.flux), change, 0.0)
     _record(hdus, series, relative, added, star if signal is None else None)
     return type(original)(hdus, quality_bitmask=original.quality_bitmask)
 
 
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """A change of the expected flux, e-/s, and of the noise; ``after`` simulates the changed scene.
-
-    ``kept`` is the factor on the residuals, given ones or those that the changed flux has.
-    """
-
-    expected: np.ndarray
-    kept: np.ndarray
-    residual: np.ndarray | None = None
-    after: Observation | None = None
-
-    def noise(self, variance, exposure, rng):
-        """Return the change of the noise, and the standard deviation of all of it."""
-        left = variance + self.expected / exposure
-        missing = np.maximum(left - self.kept**2 * variance, 0.0)
-        drawn = np.sqrt(missing) * rng.standard_normal(missing.shape)
-        if self.residual is not None:
-            drawn += (self.kept - 1) * self.residual
-        return drawn, np.sqrt(np.maximum(left, self.kept**2 * variance))
+def _noise(change, variance, kept, residual, rng):
+    """Return the change of the noise by one of the variance, and the standard deviation of all."""
+    left = variance + change
+    missing = np.maximum(left - kept**2 * variance, 0.0)
+    drawn = np.sqrt(missing) * rng.standard_normal(missing.shape) + (kept - 1) * residual
+    return drawn, np.sqrt(np.maximum(left, kept**2 * variance))
 
 
 def _relative_flux(signal, tpf, series):
@@ -149,22 +136,25 @@ def _relative_flux(signal, tpf, series):
 
 
 def _added(star, tpf, series):
-    """Return the light of a star that the file does not have."""
+    """Return the light of a star that is not in the file, and the simulation of both or None."""
     if "SCENE" not in tpf.hdu:
-        return _Change(_simulated(_scene_of(star, series)).truth.model, 1.0)
+        return _simulated(_scene_of(star, series)).truth.model, None
     scene = _scene_of(None, series, tpf)
     after = _simulated(_on_stamp(scene.replace(stars=[*scene.stars, star])))
-    return _Change(after.truth.model - _simulated(scene).truth.model, 1.0, after=after)
+    return after.truth.model - _simulated(scene).truth.model, after
 
 
 def _multiplied(star, relative, tpf, series, electrons):
-    """Return the change of the light of a star, where ``electrons`` are the variance."""
-    shape = (-1, 1, 1)
+    """Return the change of the light of a star, where ``electrons`` are the variance.
+
+    Further: the factor on the residuals, the residuals that do not have it yet, or 0, and the
+    simulation of the changed scene, or None.
+    """
     if isinstance(star, Real) and not isinstance(star, bool):
         if not 0 <= star <= 1:
             raise ValueError(f"`star` must be a share between 0 and 1, got {star}")
-        factor = float(star) * (relative - 1).reshape(shape)
-        return _Change(factor * series.flux, 1 + factor)
+        factor = float(star) * (relative - 1)[:, np.newaxis, np.newaxis]
+        return factor * series.flux, 1 + factor, 0.0, None
     scene = _scene_of(star, series, tpf)
     target = scene.stars[0]
     now = target.relative_flux(scene.motion.time)
@@ -174,12 +164,12 @@ def _multiplied(star, relative, tpf, series, electrons):
     expected = after.truth.model - unchanged.truth.model
     if isinstance(star, Star):
         # the residuals would hold the light of stars that the model of one star does not have
-        return _Change(expected, 1.0)
+        return expected, 1.0, 0.0, None
     lost = np.minimum(np.maximum(-expected, 0.0), electrons)
     kept = 1 - np.divide(lost, electrons, out=np.zeros_like(lost), where=electrons > 0)
     # the flux, not the model, has the background that is left in the file
     residual = series.flux - unchanged.flux
-    return _Change(expected, kept, residual, after if star is None else None)
+    return expected, kept, residual, after if star is None else None
 
 
 def _scene_of(star, series, tpf=None):
