@@ -1,6 +1,6 @@
 """The arrays of a motion: checks, repairs and statistics."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
@@ -170,11 +170,8 @@ class MotionStatistics(Value):
         MotionStatistics
             The statistics with mean, std, maximum and extent in arcsec.
         """
-        if self.mean.unit == u.arcsec:
-            return self
-        names = ("mean", "std", "maximum", "extent")
-        angles = {name: getattr(self, name) * self.pixel_scale for name in names}
-        return self.replace(**{name: angle.to(u.arcsec) for name, angle in angles.items()})
+        names, scale = ("mean", "std", "maximum", "extent"), u.pixel_scale(self.pixel_scale)
+        return self.replace(**{name: getattr(self, name).to(u.arcsec, scale) for name in names})
 
     def to_table(self):
         """Return the statistics as a table of one row, to be stacked with others.
@@ -184,7 +181,7 @@ class MotionStatistics(Value):
         astropy.table.QTable
             One column with its unit for each of the attributes.
         """
-        return QTable([{item.name: getattr(self, item.name) for item in fields(self)}])
+        return QTable([vars(self)])
 
 
 def largest_distance(x, y):
