@@ -32,26 +32,18 @@ class Block:
     data: np.ndarray | None = None
 
     @classmethod
-    def primary(cls, cards, n_extensions):
-        number = ("NEXTEND", n_extensions, "number of extensions")
-        return cls("".join(card_texts([*_PRIMARY, number, *cards])))
-
-    @classmethod
-    def image(cls, data, cards):
-        bits = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
-        sizes = {"BITPIX": bits, "NAXIS1": data.shape[1], "NAXIS2": data.shape[0]}
-        return cls._sized(_IMAGE, sizes, cards, data)
-
-    @classmethod
-    def table(cls, rows, cards):
-        """Return the extension of a table, whose cards define the columns, too."""
-        sizes = {"NAXIS1": rows.dtype.itemsize, "NAXIS2": len(rows), "TFIELDS": len(rows.dtype)}
-        return cls._sized(_TABLE, sizes, cards, rows)
-
-    @classmethod
-    def _sized(cls, start, sizes, cards, data):
-        start = [(name, sizes.get(name, value), comment) for name, value, comment in start]
-        return cls("".join(card_texts([*start, *cards])), data)
+    def of(cls, cards, data=None):
+        """Return a primary header without data, an image, or a table, whose cards have columns."""
+        if data is None:
+            start, sizes = _PRIMARY, {}
+        elif data.dtype.names is None:
+            bits = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
+            start, sizes = _IMAGE, {"BITPIX": bits, "NAXIS1": data.shape[1], "NAXIS2": len(data)}
+        else:
+            sizes = {"NAXIS1": data.dtype.itemsize, "NAXIS2": len(data), "TFIELDS": len(data.dtype)}
+            start = _TABLE
+        first = [(name, sizes.get(name, value), comment) for name, value, comment in start]
+        return cls("".join(card_texts([*first, *cards])), data)
 
     def hdu(self):
         """Return the HDU, which shares its memory with the block."""

@@ -205,7 +205,7 @@ def scene_blocks(maps, scene, further=()):
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
         cards = [("MAPNAME", name, "name of the map of truth")]
         cards.append(("EXTNAME", name.upper(), "extension name"))
-        blocks[name.upper()] = Block.image(array, cards)
+        blocks[name.upper()] = Block.of(cards, array)
     return [*blocks.values(), *further, *([] if scene is None else [_scene_block(scene)])]
 
 
@@ -229,7 +229,7 @@ def _truth_block(cadenceno, columns):
     cards.append(("EXTNAME", "TRUTH", "extension name"))
     if numbered:
         cards.append((_NUMBERED, " ".join(numbered), "columns of vectors: a value for each star"))
-    return Block.table(rows, cards)
+    return Block.of(cards, rows)
 
 
 def _vectors(arrays):
@@ -266,7 +266,7 @@ def _scene_block(scene):
     kinds = [(name, f"S{width}") for name, width in zip(("KEY", "VALUE"), widths, strict=True)]
     table = np.array(rows, dtype=kinds)
     cards = column_cards(table, {"VALUE": "value in JSON"})
-    return Block.table(table, [*cards, ("EXTNAME", "SCENE", "extension name")])
+    return Block.of([*cards, ("EXTNAME", "SCENE", "extension name")], table)
 
 
 def _parts(text):

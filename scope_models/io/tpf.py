@@ -461,14 +461,14 @@ def _tpf_blocks(
         headers = [[new if card == old else card for card in cards] for cards in headers]
     primary, table, image = headers
     cards = [*_headers.pixel_column_cards(layout, metadata, shape), *table]
-    blocks = [Block.table(_headers.table_rows(layout, values), cards), Block.image(aperture, image)]
+    blocks = [Block.of(cards, _headers.table_rows(layout, values)), Block.of(image, aperture)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         blocks.append(_cosmic_ray_hdu(metadata, values, simulated))
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
-    blocks.insert(0, Block.primary(primary, len(blocks)))
-    return blocks
+    number = ("NEXTEND", len(blocks), "number of extensions")
+    return [Block.of([number, *primary]), *blocks]
 
 
 def _cosmic_ray_hdu(metadata, values, simulated):

@@ -38,11 +38,8 @@ def test_checksums_are_those_of_astropy(seed):
     rows["C"] = rng.normal(size=(9, 2, 3))
     cards = [("TTYPE1", "A", ""), ("TFORM1", "J", ""), ("TTYPE2", "B", ""), ("TFORM2", "3A", "")]
     cards += [("TTYPE3", "C", ""), ("TFORM3", "6E", ""), ("TDIM3", "(3,2)", "")]
-    blocks = [
-        Block.primary([("SEED", seed, "")], 2),
-        Block.image(image, []),
-        Block.table(rows, cards),
-    ]
+    number = ("NEXTEND", 2, "number of extensions")
+    blocks = [Block.of([number, ("SEED", seed, "")]), Block.of([], image), Block.of(cards, rows)]
     stream = io.BytesIO()
     write_blocks(blocks, stream)
     stream.seek(0)
