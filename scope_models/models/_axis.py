@@ -13,7 +13,7 @@ from scope_models._values import frozen
 
 __all__ = [
     "FEW", "ROWS", "AxisPanels", "axis_direct", "axis_table", "gauss_legendre", "gaussian_nodes",
-    "hermite_functions", "horner",
+    "hermite_functions",
 ]  # fmt: skip
 
 # Largest growth of rounding errors, in units of epsilon, that the closed form may have.
@@ -57,58 +57,29 @@ def hermite_functions(z, n):
     return table
 
 
-def horner(coefficients, x):
-    """Value of a polynomial; for a few numbers this is faster than array code."""
-    value = 0.0
-    for coefficient in reversed(coefficients):
-        value = value * x + coefficient
-    return value
-
-
-def _monomial_integrals(cumulative, low, high, mu, sigma, degree):
-    """``M_n``, the integral of u^n times the normal density, for n up to degree.
-
-    Integration by parts gives ``M_n = mu M_{n-1} + (n-1) sigma^2 M_{n-2} - sigma [u^{n-1} h_0]``.
-    """
-    moments = [cumulative]
-    for n in range(1, degree + 1):
-        boundary = high - low if n % 2 else high + low
-        moment = mu * moments[n - 1] - (0.5 ** (n - 1) * sigma) * boundary
-        if n > 1:
-            moment += ((n - 1) * sigma**2) * moments[n - 2]
-        moments.append(moment)
-    return moments
-
-
 def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
-    """Closed form of `axis_direct`, by parts from the pixel's edges.
+    """Closed form of `axis_direct`, by Horner's rule for the polynomial in u.
 
-    ``sqrt(k) X_k[p] = -[p h_{k-1}] + sigma X_{k-1}[p']``, repeated until p or k is used up.
+    With ``mu = center - pixel``, ``u h_k = mu h_k + sigma (sqrt(k+1) h_{k+1} + sqrt(k) h_{k-1})``.
     """
-    offset = pixels[:, np.newaxis] - center
-    z = np.stack([offset - 0.5, offset + 0.5]) / sigma
-    table = hermite_functions(z, max(n_orders - 1, 1))
-    cumulative = erf(z * np.sqrt(0.5))
-    rows = [coefficients.tolist()]  # of the polynomial and of all its derivatives
-    while len(rows[-1]) > 1:
-        rows.append([n * c for n, c in enumerate(rows[-1])][1:])
-    cumulative = (cumulative[1] - cumulative[0]) / 2
-    moments = _monomial_integrals(cumulative, *table[0], -offset, sigma, len(rows) - 1)
-    integrals = np.zeros((n_orders, *offset.shape))
-    factor = np.ones((n_orders, 1, sigma.size))
-    for j, row in enumerate(rows[:n_orders]):
-        # Orders above j still have boundary terms, order j is an integral over h_0.
-        for n, coefficient in enumerate(row):
-            if coefficient:
-                integrals[j] += factor[j] * coefficient * moments[n]
-        if j == n_orders - 1:
-            break
-        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
-        factor[j + 1 :] /= np.sqrt(k - j)
-        low, high = horner(row, -0.5), horner(row, 0.5)
-        part = table[: n_orders - 1 - j]
-        integrals[j + 1 :] -= factor[j + 1 :] * (high * part[:, 1] - low * part[:, 0])
-        factor[j + 1 :] *= sigma
+    mu = center - pixels[:, np.newaxis]
+    z = np.stack([-0.5 - mu, 0.5 - mu]) / sigma
+    n = n_orders + coefficients.size - 1
+    root = np.sqrt(np.arange(1.0, n))[:, np.newaxis, np.newaxis]
+    plain = np.empty((n, *mu.shape))  # integrals of the functions alone
+    low, high = erf(z * np.sqrt(0.5))
+    plain[0] = (high - low) / 2
+    if n > 1:
+        table = hermite_functions(z, n - 1)
+        plain[1:] = (table[:, 0] - table[:, 1]) / root
+    step = sigma * root
+    integrals = coefficients[-1] * plain
+    for coefficient in coefficients[-2::-1]:
+        below = integrals[:-1]
+        times_u = mu * below
+        times_u += step[: len(below)] * integrals[1:]
+        times_u[1:] += step[: len(below) - 1] * below[:-1]
+        integrals = times_u + coefficient * plain[: len(below)]
     return integrals
 
 

@@ -5,10 +5,10 @@ from typing import ClassVar
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
+from numpy.polynomial.polynomial import polyval
 from scipy.special import erf
 
 from scope_models._arrays import plain_array
-from scope_models.models._axis import horner
 from scope_models.models._parameters import Domain, check_model_parameters, make_parameters
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
@@ -110,14 +110,14 @@ class SensitivityPolynomial(Fittable2DModel):
 
     def evaluate(self, x, y, *coefficients):
         """Response at the positions, dimensionless."""
-        along_x = horner(coefficients[: self._n_x], _offset(x))
-        return along_x * horner(coefficients[self._n_x :], _offset(y))
+        along_x = polyval(_offset(x), coefficients[: self._n_x], tensor=False)
+        return along_x * polyval(_offset(y), coefficients[self._n_x :], tensor=False)
 
     def fit_deriv(self, x, y, *coefficients):
         """Derivatives of the response with respect to the coefficients, in their order."""
         u, v = _offset(x), _offset(y)
-        along_x = horner(coefficients[: self._n_x], u)
-        along_y = horner(coefficients[self._n_x :], v)
+        along_x = polyval(u, coefficients[: self._n_x], tensor=False)
+        along_y = polyval(v, coefficients[self._n_x :], tensor=False)
         n_y = len(coefficients) - self._n_x
         return [u**n * along_y for n in range(self._n_x)] + [along_x * v**n for n in range(n_y)]
 
