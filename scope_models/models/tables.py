@@ -1,6 +1,6 @@
 """Tabulated PSFs and PRFs, which splines interpolate and integrate, and corrections of them."""
 
-from functools import cached_property
+from functools import cache, cached_property
 from operator import attrgetter
 
 import numpy as np
@@ -64,23 +64,19 @@ class _Surface:
         Gauss-Legendre rules are exact for the polynomials between the samples.
         """
         shape, (x_0, y_0) = flattened((x_0, y_0))
-        knots_y, knots_x, coefficients = self.spline.tck
-        matrix = np.reshape(coefficients, (len(knots_y) - _DEGREE - 1, -1))
-        images = np.empty((3 if derivatives else 1, x_0.size, y.size, x.size))
+        knots_y, knots_x, _ = self.spline.tck
+        orders = ((0, 0), (0, 1), (1, 0)) if derivatives else ((0, 0),)  # along y and x
+        splines = [self.spline.partial_derivative(*order) for order in orders]
+        images = np.empty((len(orders), x_0.size, y.size, x.size))
         (step_y, step_x), (size_y, size_x) = self.oversampling, self.samples.shape
-        slope_x = self.spline.partial_derivative(0, 1).tck[2].reshape(len(matrix), -1)
-        slope_y = self.spline.partial_derivative(1, 0).tck[2].reshape(-1, matrix.shape[1])
         for start in range(0, x_0.size, _BATCH):
             part = slice(start, start + _BATCH)
-            axis_x = _axis_rule(x, x_0[part], self.origin[0], step_x, size_x, along_x)
-            axis_y = _axis_rule(y, y_0[part], self.origin[1], step_y, size_y, along_y)
-            base_x, base_y = axis_x(knots_x, _DEGREE), axis_y(knots_y, _DEGREE)
-            images[0, part] = base_y @ matrix @ base_x.transpose(0, 2, 1)
-            if derivatives:
-                low_x = axis_x(knots_x[1:-1], _DEGREE - 1)
-                low_y = axis_y(knots_y[1:-1], _DEGREE - 1)
-                images[1, part] = base_y @ slope_x @ low_x.transpose(0, 2, 1)
-                images[2, part] = low_y @ slope_y @ base_x.transpose(0, 2, 1)
+            table_x = _axis_rule(x, x_0[part], self.origin[0], step_x, size_x, along_x, knots_x)
+            table_y = _axis_rule(y, y_0[part], self.origin[1], step_y, size_y, along_y, knots_y)
+            for image, (by_y, by_x), spline in zip(images, orders, splines, strict=True):
+                left, right = table_y(by_y), table_x(by_x)
+                matrix = spline.tck[2].reshape(left.shape[2], right.shape[2])
+                image[part] = left @ matrix @ right.transpose(0, 2, 1)
         if derivatives:
             images[1] *= -step_x
             images[2] *= -step_y
@@ -88,8 +84,8 @@ class _Surface:
         return images if derivatives else images[0]
 
 
-def _axis_rule(pixels, center, origin, oversampling, size, polynomial):
-    """Return the function of knots and degree that integrates basis functions, times a polynomial.
+def _axis_rule(pixels, center, origin, oversampling, size, polynomial, knots):
+    """Return the function that integrates the basis of a derivative's order, times a polynomial.
 
     Over the pixels along an axis, exactly: shape ``(m, n, k)``.
     """
@@ -107,8 +103,10 @@ def _axis_rule(pixels, center, origin, oversampling, size, polynomial):
     weight = weight * np.polynomial.polynomial.polyval(within, np.atleast_1d(polynomial))
     at, weight = np.clip(at, 0, size - 1).ravel(), weight.ravel()
 
-    def integrals(knots, degree):
-        table = BSpline.design_matrix(at, knots, degree)
+    @cache
+    def integrals(order):
+        degree = _DEGREE - order
+        table = BSpline.design_matrix(at, knots[order : len(knots) - order], degree)
         k = table.shape[1]
         row = np.repeat(np.arange(low.size), at.size // low.size * (degree + 1))
         weights = np.repeat(weight, degree + 1) * table.data
