@@ -18,20 +18,19 @@ from scope_models.missions import MISSIONS
 from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of
-from scope_models.scene._files import describe_effect, make_effect
+from scope_models.scene._files import describe_detector, make_detector
 from scope_models.scene._motion_arrays import offsets_at
-from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS", "make_scene", "psf_image", "psf_shape", "read_fit", "sensitivity_profiles",
-    "smoothed", "write_fit",
+    "SMOOTHING_DAYS", "make_scene", "psf_shape", "read_fit", "sensitivity_profiles", "smoothed",
+    "with_slopes", "write_fit",
 ]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
-_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf", "effects")
+_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 SMOOTHING_DAYS = 0.5
@@ -98,13 +97,11 @@ def _fields_of(hdus):
     described = json.loads(native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
     prf, detector = described["model"], described["detector"]
     psf, sensitivity = make_model(prf["psf"]), make_model(prf["sensitivity"])
-    model = PRF(psf if sensitivity is None else psf * sensitivity)
-    for name, value in prf["values"].items():
-        parameter = getattr(model, name)
-        parameter.value, parameter.fixed = value, prf["fixed"][name]
-        parameter.bounds = tuple(prf["bounds"][name])
-    detector |= {"sensitivity": model.sensitivity, "shape": tuple(detector["shape"])}
-    detector["effects"] = [make_effect(effect) for effect in detector["effects"]]
+    bounds = {name: tuple(pair) for name, pair in prf["bounds"].items()}
+    compound = psf if sensitivity is None else psf * sensitivity
+    model = PRF(compound, **prf["values"], fixed=prf["fixed"], bounds=bounds)
+    detector |= {"sensitivity": prf["sensitivity"], "psf": None, "interpixel": True}
+    maps = {"INTERPIXEL": np.maximum(values["interpixel"], 0.0)}
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
     response = tuple(PixelShares(**values) for values in shares)
     statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
@@ -119,14 +116,13 @@ def _fields_of(hdus):
     return values | kept | {
         "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
         "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "response": response,
-        "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
-        "statistics": statistics,
+        "detector": make_detector(detector, maps), "statistics": statistics,
     }  # fmt: skip
 
 
 def _description(fit):
     """Values that are neither an array by cadence nor an image."""
-    model, detector, options = fit.model, vars(fit.detector), dict(fit.options)
+    model, detector, options = fit.model, describe_detector(fit.detector), dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
     return {
@@ -137,8 +133,7 @@ def _description(fit):
             "fixed": {name: bool(fixed) for name, fixed in model.fixed.items()},
             "bounds": {name: list(bounds) for name, bounds in model.bounds.items()},
         },
-        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR}
-        | {"effects": [describe_effect(effect) for effect in fit.detector.effects]},
+        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR},
         "names": list(fit.names),
         "kinds": fit.parameters["kind"][: len(fit.names)].tolist(),
         "at_bounds": list(fit.at_bounds),
@@ -275,7 +270,7 @@ def sensitivity_profiles(fit):
     return profiles
 
 
-def _with_slopes(fit, measure):
+def with_slopes(fit, measure):
     """Return a measure of the PSF, and its derivatives by the free parameters, ``(s, ...)``."""
     value = measure(fit.psf)
     slopes = np.zeros((len(fit.names), *value.shape))
@@ -287,22 +282,14 @@ def _with_slopes(fit, measure):
     return value, slopes
 
 
-def psf_image(fit, half=3.0, samples=121):
-    """Offsets of a grid about the star, the density there over its largest value, and its error."""
-    offset = np.linspace(-half, half, samples)
-    density, slopes = _with_slopes(fit, lambda psf: np.asarray(psf(*np.meshgrid(offset, offset))))
-    variance = np.einsum("iyx,ij,jyx->yx", slopes, fit.covariance, slopes, optimize=True)
-    return offset, density / density.max(), np.sqrt(np.maximum(variance, 0.0)) / density.max()
-
-
 def psf_shape(fit):
     if fit.response:
         moments, covariance = _moments_of_shares(fit)
     else:
-        offset, density, _ = psf_image(fit, 2.0, 81)
+        offset, density, _ = fit.psf_image(2.0, 81)
         row, column = np.unravel_index(np.argmax(density), density.shape)
         center = offset[column], offset[row]
-        moments, slopes = _with_slopes(fit, lambda psf: _moments(psf, *center))
+        moments, slopes = with_slopes(fit, lambda psf: _moments(psf, *center))
         covariance = slopes.T @ fit.covariance @ slopes
     values = _axes(moments)
     # Small steps, for the axes of a circle have no direction.

@@ -301,7 +301,11 @@ class TPFFit(Value):
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
         """
-        return _products.psf_image(self, half, samples)
+        offset = np.linspace(-half, half, samples)
+        grid = np.meshgrid(offset, offset)
+        density, slopes = _products.with_slopes(self, lambda psf: np.asarray(psf(*grid)))
+        variance = np.einsum("iyx,ij,jyx->yx", slopes, self.covariance, slopes, optimize=True)
+        return offset, density / density.max(), np.sqrt(np.maximum(variance, 0.0)) / density.max()
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.

@@ -36,7 +36,7 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_effect", "describe_scene", "make_effect", "read_detector", "read_object",
+    "describe_detector", "describe_scene", "make_detector", "read_detector", "read_object",
     "read_scene", "scene_columns", "write_object",
 ]  # fmt: skip
 
@@ -77,9 +77,9 @@ def read_scene(path):
     truth = read_truth(path)
     described = truth.scene
     with _making(path, described, "scene"):
-        detector = _detector(described["detector"], truth.maps)
+        detector = make_detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
-        effects = [make_effect(effect) for effect in described["effects"]]
+        effects = [_make_effect(effect) for effect in described["effects"]]
         return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
 
 
@@ -131,7 +131,7 @@ def read_detector(path):
         with open_fits(path) as hdus:
             described, maps = scene_of(hdus), maps_of(hdus)
         with _making(path, described, "detector"):
-            return _detector(described["detector"], maps)
+            return make_detector(described["detector"], maps)
     try:
         return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8-sig")))
     except (TypeError, ValueError, RecursionError) as error:
@@ -170,7 +170,7 @@ def write_object(value, path, *, overwrite):
     from astropy.io import fits
 
     if isinstance(value, Detector):
-        described = {"version": _VERSION, "detector": _describe_detector(value)}
+        described = {"version": _VERSION, "detector": describe_detector(value)}
         blocks = scene_blocks(_maps(value), described)
     elif isinstance(value, Motion):
         described = {"version": _VERSION, "motion": _describe_motion(value)}
@@ -217,10 +217,10 @@ def describe_scene(scene):
     return {
         "version": _VERSION,
         "stars": [_describe_star(star) for star in scene.stars],
-        "detector": _describe_detector(scene.detector),
+        "detector": describe_detector(scene.detector),
         "motion": _describe_motion(scene.motion),
         "options": plain_tree(options, str),
-        "effects": [describe_effect(effect) for effect in scene.effects],
+        "effects": [_describe_effect(effect) for effect in scene.effects],
     }
 
 
@@ -255,12 +255,12 @@ def _describe_motion(motion):
     return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)} | place
 
 
-def describe_effect(effect):
+def _describe_effect(effect):
     values = {item.name: packed(getattr(effect, item.name)) for item in fields(effect)}
     return {"class": type(effect).__name__, "parameters": plain_tree(values, str)}
 
 
-def make_effect(described):
+def _make_effect(described):
     values = {name: unpacked(value) for name, value in described["parameters"].items()}
     kind = _named_effect(described["class"])
     return kind(**(_OLD_FIELDS.get(kind.__name__, {}) | values))
@@ -270,17 +270,17 @@ def _named_effect(name):
     return class_named(name, Effect, ("scope_models.effects",), "an effect")
 
 
-def _describe_detector(detector):
+def describe_detector(detector):
     """Return the fields of a detector; the interpixel map is stored elsewhere."""
     described = {item.name: getattr(detector, item.name) for item in fields(detector)}
     described |= {name: describe_model(described[name]) for name in ("sensitivity", "psf")}
     described |= {"shape": list(detector.shape), "interpixel": detector.interpixel is not None}
-    return described | {"effects": [describe_effect(effect) for effect in detector.effects]}
+    return described | {"effects": [_describe_effect(effect) for effect in detector.effects]}
 
 
-def _detector(described, maps):
+def make_detector(described, maps):
     models = {name: make_model(described[name]) for name in ("sensitivity", "psf")}
-    effects = [make_effect(effect) for effect in described["effects"]]
+    effects = [_make_effect(effect) for effect in described["effects"]]
     interpixel = maps["INTERPIXEL"] if described["interpixel"] else None
     return Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
 
