@@ -7,14 +7,13 @@ that center, so that each pixel sees the same polynomial.
 The bivariate normal density is a sum of separable terms (Mehler's expansion, Abramowitz and
 Stegun 22.9.3 with 26.2.31)
 
-.. math:: f = \frac{1}{\sigma_x \sigma_y} \sum_k \rho^k h_k(z_x) h_k(z_y), \qquad
-          h_k(z) = \frac{He_k(z)}{\sqrt{k!}} \varphi(z),
+.. math:: f = \frac{1}{\sigma_x \sigma_y} \sum_k \rho^k h_k(z_x) h_k(z_y),
 
-where He_k are the probabilists' Hermite polynomials and ``z = (x - x_0) / sigma``. Each term
-integrates in closed form along each axis. With rho = 0 the first term is all. Because
-``dh_k/dz = -sqrt(k + 1) h_{k+1}``, derivatives with respect to position and width are integrals
-of the same family. Where ``|rho|`` is so large that the series is long, a Gauss-Legendre rule along
-x, whose node count follows from the width of the density, of closed forms along y takes its place.
+where ``z = (x - x_0) / sigma``, with the functions of `scope_models.models._axis`. Each term
+integrates in closed form along each axis. With rho = 0 the first term is all. Derivatives with
+respect to position and width are integrals of the same family. Where ``|rho|`` is so large that the
+series is long, a Gauss-Legendre rule along x, whose node count follows from the width of the
+density, of closed forms along y takes its place.
 """
 
 from functools import partial

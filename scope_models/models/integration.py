@@ -21,7 +21,6 @@ __all__ = ["integrate_pixels"]
 
 # Standard deviations of the diffusion beyond which no charge of a pixel comes from.
 _DIFFUSION_REACH = 7.0
-_METHODS = ("auto", "analytic", "quadrature")
 # Change between two rules, as part of an image's flux, at which a pixel has converged.
 _TOLERANCE = 1e-11
 # Growth of the number of nodes from rule to rule, and the number that leads to a subdivision.
@@ -243,7 +242,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
             "`model` must have two inputs, one output and no model set axis, got "
             f"{model.n_inputs} inputs, {model.n_outputs} outputs, {len(model)} models"
         )
-    checked_choice("method", method, _METHODS)
+    checked_choice("method", method, ("auto", "analytic", "quadrature"))
     if (shape is None) == (x is None and y is None) or (x is None) != (y is None):
         raise ValueError("give either `shape`, or both `x` and `y`")
     points = PixelPoints(x, y) if shape is None else PixelPoints.from_shape(shape)

@@ -30,10 +30,6 @@ class _Response:
     model: object
     names: dict
 
-    def factor(self, values):
-        own = {name: np.asarray(values[source]) for name, source in self.names.items()}
-        return Factor(self.model, own)
-
     @property
     def powers(self):
         """Axis and power by parameter of the PRF."""
@@ -54,14 +50,6 @@ class _Component:
     offsets: tuple
     responses: tuple
 
-    @property
-    def kinds(self):
-        """Kinds of its parameters in a fit, by parameter of the PRF."""
-        own = getattr(self.model, "parameter_kinds", {})
-        kinds = {source: own[name] for name, source in self.shape.items() if name in own}
-        kinds |= dict.fromkeys(self.offsets, "offset")
-        return kinds | ({self.fraction: "fraction"} if self.fraction else {})
-
     def own_values(self, values, flux=1.0):
         own = {name: values[source] for name, source in self.shape.items()}
         own["flux"] = flux
@@ -78,9 +66,12 @@ class _Component:
 
     def term(self, values, flux=1.0):
         """The product that is integrated, at values of the PRF's parameters."""
+        sensitivities = []
+        for response in self.responses:
+            own = {name: np.asarray(values[source]) for name, source in response.names.items()}
+            sensitivities.append(Factor(response.model, own))
         density = Factor(self.model, self.own_values(values, flux))
-        sensitivities = tuple(response.factor(values) for response in self.responses)
-        return Term(densities=(density,), sensitivities=sensitivities)
+        return Term(densities=(density,), sensitivities=tuple(sensitivities))
 
     def derivatives(self, points, values):
         """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
@@ -337,7 +328,10 @@ class PRF(StarModel):
         """
         kinds = {}
         for component in self._components:
-            kinds |= component.kinds
+            own = getattr(component.model, "parameter_kinds", {})
+            kinds |= {source: own[name] for name, source in component.shape.items() if name in own}
+            kinds |= dict.fromkeys(component.offsets, "offset")
+            kinds |= {component.fraction: "fraction"} if component.fraction else {}
         for response in self._responses:
             kind = "diffusion" if "sigma_d" in response.names else "response"
             kinds |= dict.fromkeys(response.names.values(), kind)
@@ -497,14 +491,8 @@ class PRF(StarModel):
 
     def bounding_box(self):
         """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the pixels that the star reaches."""
-        values = {name: value_of(getattr(self, name)) for name in self.param_names}
-        boxes = []
-        for component in self._components:
-            model = component.model.copy()
-            for name, value in component.own_values(values).items():
-                if name != "flux":
-                    setattr(model, name, value)
-            boxes.append(model.bounding_box.bounding_box())
+        values = self._own_or()
+        boxes = [c.at(values, 1.0).bounding_box.bounding_box() for c in self._components]
         half = 0.5 * u.pixel if isinstance(boxes[0][0][0], u.Quantity) else 0.5
         return tuple(
             (min(b[axis][0] for b in boxes) - half, max(b[axis][1] for b in boxes) + half)
