@@ -80,10 +80,8 @@ def corrected_noise(observation, hours):
             plain, dimmed = (each.correct().flux.value for each in correctors)
         except ValueError:
             return row
-    flux = level = np.nanmedian(plain)
-    if not correctors[0].result.neighbors:
-        mask = correctors[0].aperture_mask
-        flux = np.median(summed(noiseless, mask) * observation.target_share(mask)[used])
+    mask, level = correctors[0].aperture_mask, np.nanmedian(plain)
+    flux = np.median(summed(noiseless, mask) * observation.target_share(mask)[used])
     survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
     row["pld_survival"] = survival
     row["pld"], row["pld_full"] = noise((plain - level) / flux / survival)
