@@ -360,6 +360,7 @@ class PLDFit:
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
         crowded = 1 - self.model.pixels.crowding > CONTAMINATED
+        other = 1 - self.crowding
         if self.contamination > CONTAMINATED:
             if self.contrast_error > CONTAMINATED:
                 found.append(
@@ -367,10 +368,9 @@ class PLDFit:
                     "that of other stars: depths and amplitudes are uncertain by "
                     f"{100 * self.contrast_error:.0f} %"
                 )
-        elif crowded or self.contrast_error > _MANY:
-            part = 1 - self.crowding if crowded else self.contrast_error
+        elif crowded or other > _MANY:
             found.append(
-                f"about {100 * part:.0f} % of the light in the aperture is of other stars: depths "
+                f"about {100 * other:.0f} % of the light in the aperture is of other stars: depths "
                 "and amplitudes are too small by as much"
             )
         whole = self.model.pixels.aperture.sum() >= _WHOLE
@@ -435,12 +435,17 @@ class PLDFit:
         """Target's share of the aperture's light, at most.
 
         The rest is in pixels in which other stars are brightest, of a star whose light is blended
-        with the target's and has no peak of its own, or does not vary as the target does.
+        with the target's and has no peak of its own, does not vary as the target does, or is in the
+        pipeline's aperture by the file's CROWDSAP.
         """
         pixels, source, clean = self.model.pixels, self.model.source, self.model.clean
         blended = source is not None and pixels.own is not None and pixels.own.all()
         other = source.other_light if blended else 0.0
-        return min(pixels.crowding, 1 - other, 1 - clean.constant if clean else 1.0)
+        stated = source and source.series.header.get("CROWDSAP")
+        known = isinstance(stated, float) and 0 < stated <= 1
+        if not known or not pixels.aperture[source.series.aperture].all():  # it is of another one
+            stated = 1.0
+        return min(pixels.crowding, stated, 1 - other, 1 - clean.constant if clean else 1.0)
 
     @one_thread
     def covariance(self, cadences):

@@ -319,3 +319,20 @@ def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch,
     monkeypatch.setattr(PLDModel, "from_pixels", classmethod(from_pixels))
     assert 0.95 < fit.survival() < 1.05
     assert made == [fractions]
+
+
+@pytest.mark.parametrize("stated", [0.97, 0.8, -1.0, 1.3])
+def test_light_of_other_stars_in_the_header_counts(stated):
+    """CROWDSAP is of the pipeline's aperture: a smaller one may hold less light of others."""
+    tpf = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(200, seed=1), seed=1).to_tpf()
+    tpf.hdu[1].header["CROWDSAP"] = stated
+    corrector = PLDCorrector(tpf, aperture_mask="pipeline")
+    warned = pytest.warns(DetrendingWarning, match="about 20 % of the light in the aperture is of")
+    with warned if stated == 0.8 else contextlib.nullcontext():
+        corrector.correct()
+    assert corrector.result.crowding == (stated if 0 < stated <= 1 else 1.0)
+    smaller = tpf.pipeline_mask.copy()
+    smaller.flat[np.flatnonzero(smaller)[0]] = False
+    corrector = PLDCorrector(tpf, aperture_mask=smaller)
+    corrector.correct()
+    assert corrector.result.crowding == 1.0
