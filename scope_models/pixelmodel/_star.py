@@ -371,7 +371,8 @@ def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
     focus = states.focus + change[3]
     shared = by_focus[1:3] * error[3] ** 2
     found = _without_other_causes(stamp, focus, error[:4], shared, position, variable)
-    focus, error[3] = stamp.smoothed(found, error[3], "focus")
+    focus, smooth = stamp.smoothed(found, error[3], "focus")
+    error[3] = np.maximum(smooth, error[3] * np.sqrt(stamp.smoothed.step / TRANSIT))
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
     shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
     brightness += shift[0]
