@@ -61,15 +61,14 @@ class Source:
         image = np.nan_to_num(typical - plane)
         if pixels.own is None or not pixels.own.all():
             return image, plane, _star_share(image, pixels.core)
-        share = np.ones(image.shape)
+        still, places = image, self.series.pos_corr
+        if places is not None and np.isfinite(places[pixels.usable]).any():
+            still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
+            still = np.nan_to_num(still - plane)
         full = self.series.mission and self.series.mission.full_flux
-        if full is None or image.max() < full:
-            still, places = image, self.series.pos_corr
-            if places is not None and np.isfinite(places[pixels.usable]).any():
-                still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
-                still = np.nan_to_num(still - plane)
-            share = _blended_share(still, pixels.core)
-        return image, plane, share
+        if full is not None and still.max() >= full:  # charge that has bled looks like a star
+            return image, plane, np.ones(image.shape)
+        return image, plane, _blended_share(still, pixels.core)
 
     @cached_property
     def other_light(self):
