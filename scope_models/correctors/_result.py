@@ -360,7 +360,7 @@ class PLDFit:
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
         crowded = 1 - self.model.pixels.crowding > CONTAMINATED
-        other = 1 - self.crowding
+        other = max(1 - self.crowding, self.contrast_error)
         if self.contamination > CONTAMINATED:
             if self.contrast_error > CONTAMINATED:
                 found.append(

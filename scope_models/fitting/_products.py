@@ -30,7 +30,6 @@ __all__ = [
 ]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
-_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 SMOOTHING_DAYS = 0.5
@@ -122,7 +121,7 @@ def _fields_of(hdus):
 
 def _description(fit):
     """Values that are neither an array by cadence nor an image."""
-    model, detector, options = fit.model, describe_detector(fit.detector), dict(fit.options)
+    model, options = fit.model, dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
     return {
@@ -133,7 +132,7 @@ def _description(fit):
             "fixed": {name: bool(fixed) for name, fixed in model.fixed.items()},
             "bounds": {name: list(bounds) for name, bounds in model.bounds.items()},
         },
-        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR},
+        "detector": describe_detector(fit.detector.replace(sensitivity=None, psf=None)),
         "names": list(fit.names),
         "kinds": fit.parameters["kind"][: len(fit.names)].tolist(),
         "at_bounds": list(fit.at_bounds),

@@ -38,7 +38,8 @@ _WIDTH_PRIOR = 0.2
 #: changes and of constant light; this is where they begin.
 _CHANGES = {"width": 2.0, "squared": 3.0, "slow": 1.0, "constant": 1.0}
 #: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
-#: positions and width are less than these parts of their errors.
+#: positions and width are less than these parts of their errors, of the width that of its course
+#: or of a mean of 6.5 h.
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
@@ -331,7 +332,8 @@ def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
     The focus has a smooth course, and all else is the most likely at this. Return the states, the
-    errors of brightness, positions and focus, and the shape, in whose unit the focus is.
+    errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what is
+    less changes no light), and the shape, in whose unit the focus is.
     """
     images, late = _images(stamp, states, shape, functions, slow), "width" in shape.changes
     if late:

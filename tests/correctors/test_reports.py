@@ -336,3 +336,12 @@ def test_light_of_other_stars_in_the_header_counts(stated):
     corrector = PLDCorrector(tpf, aperture_mask=smaller)
     corrector.correct()
     assert corrector.result.crowding == 1.0
+
+
+def test_light_in_the_wings_of_other_stars_is_reported(star, monkeypatch):
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    assert corrector.result.remarks() == []
+    monkeypatch.setitem(vars(corrector.result), "contrast_error", 0.3)  # their peaks are outside
+    (remark,) = corrector.result.remarks()
+    assert remark.startswith("about 30 % of the light in the aperture is of other stars")
