@@ -63,35 +63,40 @@ class _Waves:
         return (len(self.others) + (self.count > 0)) * np.log(n / 2)
 
     def settled(self, solution, use):
-        """Return it after steps of Gauss and Newton, of frequencies and amplitudes together."""
-        waves, amplitudes = self, None
+        """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
+        waves, fitted, size = self, solution.with_waves(self, use), _SHIFT
         for _ in range(_STEPS):
-            waves, amplitudes, steps = waves._shifted(solution, use, amplitudes)
+            moved, steps = waves._shifted(fitted, solution.n_trend, size)
+            trial = solution.with_waves(moved, use)
+            if trial.log_likelihood > fitted.log_likelihood:
+                waves, fitted = moved, trial
+            else:
+                size /= 4
             if np.max(steps, initial=0.0) < _SMALL_SHIFT:
                 break
         return waves
 
-    def _shifted(self, solution, use, amplitudes):
-        """Return it after one step, amplitudes of each cosine and sine, and steps over errors."""
-        trial, count = solution.with_waves(self, use), self.count
-        k, n = trial.n_regressors, solution.n_trend
-        rows = slice(k + n, k + trial.n_trend)
-        amplitudes = trial.posterior.mean[rows] if amplitudes is None else amplitudes
-        waves = trial.flat[:, n : trial.n_trend]
+    def _shifted(self, fitted, first, size):
+        """Return it after one step from a fit, in which it has the ``first`` flat column.
+
+        The prior of the step has a ``size``. The second value is the steps over their errors.
+        """
+        count, k = self.count, fitted.n_regressors
+        last = first + 2 * len(self.frequencies)
+        amplitudes, waves = fitted.posterior.mean[k + first : k + last], fitted.flat[:, first:last]
         slope = waves[:, ::2] * amplitudes[1::2] - waves[:, 1::2] * amplitudes[::2]
-        slope *= 2 * np.pi * trial.time[:, None]
+        slope *= 2 * np.pi * fitted.time[:, None]
         sizes = np.ones(len(self.others))
         if count:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
-        unit = _SHIFT / np.ptp(trial.data.time) / sizes / np.sqrt(FLAT * trial.data.spread)
-        posterior = trial.with_more(slope * unit, use).posterior
-        own = slice(rows.stop, rows.stop + len(unit))
+        unit = size / np.ptp(fitted.data.time) / sizes / np.sqrt(FLAT * fitted.data.spread)
+        posterior = fitted.with_more(slope * unit, fitted.use).posterior
+        own = slice(k + last, k + last + len(unit))
         step = unit * posterior.mean[own]
         base = self.base + step[0] if count else 0.0
-        waves = _Waves(self.others + step[int(count > 0) :], base, count)
         errors = unit * np.sqrt(np.diag(posterior.covariance)[own])
-        return waves, posterior.mean[rows], np.abs(step) / errors
+        return _Waves(self.others + step[int(count > 0) :], base, count), np.abs(step) / errors
 
     def gains(self, solution, use):
         """Return what each frequency gains beside the others: twice the log-likelihood."""
@@ -105,6 +110,15 @@ class _Waves:
     def last(self, gains):
         """Return the number of the last harmonic that is needed."""
         return int(np.flatnonzero(gains[: self.count] >= _SIGNIFICANT).max(initial=-1)) + 1
+
+    def completed(self, solution, use, most):
+        """Return it with as many harmonics as are needed, at most so many."""
+        waves, count = self, 0
+        while count < min(2 * waves.count, most):
+            count = min(2 * waves.count, most)
+            waves = replace(waves, count=count).settled(solution, use)
+            waves = replace(waves, count=waves.last(waves.gains(solution, use)))
+        return waves
 
     def significant(self, solution, use):
         """Return it without frequencies that are not needed, the weakest first.
@@ -161,7 +175,9 @@ def find_waves(solution, allowed):
 def _with_series(waves, solution, use, n_most):
     """Return the waves, or harmonics of one frequency and what is left if they are more likely.
 
-    Most of the waves are multiples of the frequency, by less chance than of others.
+    Most of the waves are multiples of the frequency, by less chance than of others. Of two nearly
+    equal eclipses in a period even multiples are the strongest: if odd ones of half of the
+    frequency are needed, it is half.
     """
     time = solution.time[use]
     length = np.ptp(time)
@@ -180,16 +196,14 @@ def _with_series(waves, solution, use, n_most):
     best = np.argmax(found * np.log(bases / (2 * near)))
     if found[best] < max(2, len(pool) / 2):
         return waves
-    base = bases[best]
-    frequencies = waves.frequencies
-    last, count = round(frequencies[multiples(frequencies, base)].max() / base), 0
-    while count < min(2 * last, n_most):
-        count = min(2 * last, n_most)
-        series = _Waves(frequencies[~multiples(frequencies, base)], base, count)
-        series = series.settled(solution, use)
-        base, last = series.base, series.last(series.gains(solution, use))
-    series = replace(series, count=last)
-    return max(waves, series, key=lambda each: each.likelihood(solution, use))
+    base, frequencies = bases[best], waves.frequencies
+    others = frequencies[~multiples(frequencies, base)]
+    last = round(frequencies[multiples(frequencies, base)].max() / base)
+    series = _Waves(others, base, last).completed(solution, use, n_most)
+    half = replace(series, base=series.base / 2).completed(solution, use, n_most)
+    odd = half.gains(solution, use)[: half.count : 2]
+    found = [waves, series, half] if np.max(odd, initial=0.0) >= _SIGNIFICANT else [waves, series]
+    return max(found, key=lambda each: each.likelihood(solution, use))
 
 
 def _with_simple_noise(solution, rest):

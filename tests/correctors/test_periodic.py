@@ -90,8 +90,34 @@ def test_the_last_step_of_a_series_is_less_than_its_error():
     y = -0.25 * np.clip(1.3 - np.abs(phase) / 0.02, 0, 1)
     solution = make_solution(y + np.random.default_rng(5).normal(0, 1e-4, len(TIME)))
     waves = _Waves(base=1.00002 / 2.3, count=50).settled(solution, solution.use)
-    assert waves._shifted(solution, solution.use, None)[2].max() < 1
+    steps = waves._shifted(solution.with_waves(waves, solution.use), solution.n_trend, 0.2)[1]
+    assert steps.max() < 1
     assert abs(2.3 * waves.base - 1) < 1e-5
+
+
+def test_a_second_eclipse_that_is_less_deep_doubles_the_period():
+    """Steep eclipses: those of half of the period have the strongest harmonics."""
+    y = np.random.default_rng(5).normal(0, 1e-4, len(TIME))
+    for depth, start in ((0.25, 0.3), (0.15, 0.8)):
+        phase = (TIME / 2.3 - start + 0.5) % 1 - 0.5
+        y -= depth * np.clip(1.3 - np.abs(phase) / 0.02, 0, 1)
+    solution = make_solution(y)
+    found = find_waves(solution, solution.use)
+    assert found.base == pytest.approx(1 / 2.3, rel=1e-4)
+    rest = solution.with_waves(found, solution.use).unexplained
+    assert np.sqrt(np.mean(rest**2)) < 2e-3
+
+
+def test_steps_of_frequencies_that_share_peaks_lead_upward():
+    """A rotation of 0.5 d whose spots change: a band of frequencies, none of them resolved."""
+    rng = np.random.default_rng(0)
+    size, turn = (np.cumsum(rng.normal(0, 1, len(TIME))) / 30 for _ in range(2))
+    y = 0.01 * (size * np.cos(4 * np.pi * TIME) + turn * np.sin(4 * np.pi * TIME))
+    solution = make_solution(y + rng.normal(0, 1e-4, len(TIME)))
+    waves, use = _Waves(np.arange(1.5, 2.5, 1 / np.ptp(TIME))), solution.use
+    before = solution.with_waves(waves, use).log_likelihood
+    after = solution.with_waves(waves.settled(solution, use), use).log_likelihood
+    assert after > before + 1000
 
 
 def test_noise_roll_and_slow_change_have_no_frequencies():
