@@ -81,10 +81,8 @@ class Source:
         """Return all stars' light in each pixel, e-/s."""
         light = self.pixels.flux - self._image[1]
         if clean is not None:
-            use, (columns, rows) = self.pixels.usable, clean.grid.T
-            flux = self.pixels.flux[use]
-            flux[:, rows, columns] -= clean.background
-            light[use] = flux
+            use, (columns, rows) = np.flatnonzero(self.pixels.usable)[:, None], clean.grid.T
+            light[use, rows, columns] = self.pixels.flux[use, rows, columns] - clean.background
         return light
 
     @property

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._pixels import scatter, without_background
+from scope_models.correctors._pixels import own_light, scatter, without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
@@ -15,8 +15,6 @@ from scope_models.pixelmodel._start import KnownNeighbors, NoLightError, centroi
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
 
-#: Tolerance: pixels farther from the star than this (px) are left out.
-_REACH = 7
 #: Branch: standard deviation from which on a star varies: what its position is uncertain by
 #: (0.02 px) times the change of the aperture's light with position (0.05 per px).
 _VARIES = 0.02 * 0.05
@@ -51,13 +49,15 @@ def without_neighbors(pixels, series, found):
     total = pixels.total - light
     usable = pixels.usable & (np.nan_to_num(total) > 0)
     share = float(np.median((total / pixels.total)[usable])) if usable.any() else 1.0
-    pixels = replace(
-        pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
-        own=np.ones_like(pixels.aperture), crowding=min(share, 1.0), neighbors=found,
-    )  # fmt: skip
     positions = series.pos_corr
     if positions is None or not usable_positions(positions).any():
         positions = found.positions - np.nanmedian(found.positions, axis=0)
+    use, around = pixels.usable, (pixels.aperture, pixels.core)
+    own = own_light(flux[use], *around, positions[use], pixels.place)[0]  # some may be left
+    pixels = replace(
+        pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
+        own=own, crowding=min(share, 1.0), neighbors=found,
+    )  # fmt: skip
     return pixels, series.replace(flux=flux, pos_corr=positions)
 
 
@@ -114,21 +114,16 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     use = pixels.quiet(cadence_mask & pixels.lit)[usable]
     total = pixels.total[usable]
     use &= total > np.median(total[use]) / 2  # what is left in eclipses may be of others
-    pos_corr, reach = None, 3.0
+    pos_corr = None
     if series.pos_corr is not None:
         known = usable_positions(series.pos_corr)
         pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
-        if known[usable].any():
-            reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
     light = without_background(pixels.flux[usable])
     apart = neighbors is None and _holds_constant_light(light[:, pixels.aperture], pos_corr)
     if neighbors is None and not apart and pixels.own.all():
         return None
     typical, peak = _peak(pixels)
-    box = tuple(
-        slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
-        for k, size in zip(peak, typical.shape, strict=True)
-    )
+    box = pixels.near
     flux, error = light[:, *box], pixels.flux_err[usable][:, *box]
     good = np.isfinite(flux) & (error > 0)
     good[pixels.banded[usable]] = False

@@ -38,6 +38,7 @@ __all__ = [
     "choose_aperture",
     "credible_flux",
     "noise_ratios",
+    "own_light",
     "scatter",
     "typical_image",
     "warn_of_pipeline",
@@ -60,6 +61,8 @@ NOISIER = (
     "the corrected light curve scatters more than the sum over the aperture, or there is no light "
     "above the noise: do not use it"
 )
+#: Tolerance: pixels farther from the aperture than this (px) are left out.
+_REACH = 7
 #: Branch: pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
@@ -124,6 +127,12 @@ class Pixels:
     neighbors: object = None
     core: np.ndarray | None = None
     place: np.ndarray | None = None
+
+    @property
+    def near(self):
+        """Slices of the rows and columns that may show the star: those around the aperture."""
+        sides = (np.flatnonzero(self.aperture.any(axis=k)) for k in (1, 0))
+        return tuple(slice(max(side[0] - _REACH, 0), side[-1] + _REACH + 1) for side in sides)
 
     def full_columns(self, use, saturation):
         """Return which columns of the aperture are full, ``(nx,)``, at ``saturation``, e-/s."""
@@ -345,7 +354,7 @@ def aperture_pixels(series, aperture):
     places = None if series.pos_corr is None else series.pos_corr[positive]
     core = aperture & series.aperture
     core = core if core.any() else aperture
-    own, crowding, core = _own_light(flux[positive], aperture, core, places, place)
+    own, crowding, core = own_light(flux[positive], aperture, core, places, place)
     if chosen:
         _compare_pipeline(series, aperture, positive, own)
     return Pixels(
@@ -396,7 +405,7 @@ def _jumps(flux):
     return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
 
 
-def _own_light(flux, aperture, core, pos_corr, place):
+def own_light(flux, aperture, core, pos_corr, place):
     """Return the star's pixels, their part of the aperture's light, and those of its peak."""
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
@@ -436,22 +445,28 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
     full = pixels.full_columns(learned, saturation)
-    own = ~full
-    if full.any() and pixels.own is not None:  # no model holds the stars beside it
-        own = own & pixels.own
+    own = np.zeros_like(pixels.aperture)
+    own[pixels.near] = True
+    own &= ~full
+    if pixels.own is not None:  # other stars do not vary with this one
+        own &= pixels.own
     known = np.isfinite(pixels.flux[use]).all(axis=0) & (pixels.aperture | own)
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)
-    error = pixels.flux_err[use]
-    valid = error > 0  # not NaN either
-    typical = np.median(error[valid])
+    error = pixels.flux_err[use][:, known]
+    error = np.where(error > 0, error, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
+        typical = np.nanmedian(error, axis=0)
+    typical[np.isnan(typical)] = np.nanmedian(typical)
+    error = np.where(np.isnan(error), typical, error)
     try:
         with np.errstate(all="ignore"):  # of a model that fails
             clean = fit_star(
                 pixels.time[use],
                 pixels.flux[use][:, known],
-                np.where(valid, error, typical)[:, known],
+                error,
                 pos_corr[use],
                 np.stack([columns, rows], axis=1),
                 pixels.aperture[known],

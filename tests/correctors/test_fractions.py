@@ -273,3 +273,28 @@ def test_predicted_fractions_follow_the_seeing_of_a_bright_star():
     change = np.log(lc.flux.value / sky.true_flux[lc.cadenceno - 1])[~corrector.outlier_mask]
     assert np.nanstd(change) < 5e-4  # 3.0e-4
     assert corrector.outlier_mask.sum() < 10
+
+
+def test_constant_stars_of_a_large_stamp_do_not_weaken_variability():
+    """A star of 0.75 of its light 8.3 px away, outside of the aperture."""
+    star = Star(12.0, 11.5, 11.5, signal=sinusoidal_signal(0.005, period=2.7))
+    stars = [star, Star(12.3, 4.0, 15.0)]
+    observation = simulate(stars, Detector.k2(shape=(24, 24)), Motion.k2_roll(500, seed=1), seed=1)
+    lc = PLDCorrector(observation.to_tpf()).correct()
+    phase = 2 * np.pi * lc.time.value / 2.7
+    columns = np.column_stack([np.ones(len(phase)), np.sin(phase), np.cos(phase)])
+    level, *waves = np.linalg.lstsq(columns, lc.flux.value, rcond=None)[0]
+    assert np.hypot(*waves) / level == pytest.approx(0.005, rel=0.01)  # 0.0046 with its pixels
+
+
+def test_pixels_without_errors_have_those_of_their_other_cadences(star):
+    tpf, none = star.tpf, slice(50, 110)
+    hdu = tpf.hdu
+    hdulist = type(hdu)([one.copy() for one in hdu])
+    hdulist[1].data["FLUX_ERR"][none] = 0.0
+    with pytest.warns(DetrendingWarning, match="without a valid FLUX_ERR"):
+        corrector = PLDCorrector(KeplerTargetPixelFile(hdulist, quality_bitmask="none"))
+    lc = corrector.correct()
+    error = lc.flux_err.value
+    inside = np.isin(lc.cadenceno, hdulist[1].data["CADENCENO"][none])
+    assert np.nanmedian(error[inside]) == pytest.approx(np.nanmedian(error[~inside]), rel=0.1)
