@@ -307,7 +307,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         -------
         `~lightkurve.correctors.DesignMatrixCollection`
             One matrix per group, with a row per cadence of the file; its ``prior_sigma`` are
-            those of the fit. Cadences that cannot be used are NaN.
+            those of the fit, of the logarithm of relative flux: for lightkurve's corrector, the
+            light curve is normalized. There is no column of a constant. Cadences that cannot be
+            used are NaN.
 
         Raises
         ------

@@ -86,6 +86,8 @@ class FitOptions(Value):
 
     def __post_init__(self):
         check_fields(self)
+        if not isinstance(self.saturation, bool | np.bool_):
+            raise TypeError(f"`saturation` must be True or False, got {self.saturation!r}")
         checked_choice("background", self.background, ("cadence", "constant", "none"))
         checked_choice("loss", self.loss, ("linear", "soft_l1"))
         checked_choice("neighbor_flux", self.neighbor_flux, ("auto", "cadence", "constant"))

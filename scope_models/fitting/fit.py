@@ -77,7 +77,8 @@ def fit_tpf(
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
-        the local maxima of the median image, the brightest first after the target. By default one
+        the local maxima of the median image above a twentieth of the brightest pixel and ten
+        errors, the brightest first after the target: fainter stars are given. By default one
         star, the target: the maximum in the pipeline's aperture, of several one at the file's
         coordinates. For several files, a sequence of them.
     neighbors : as ``stars``, optional
@@ -126,7 +127,8 @@ def fit_tpf(
     -----
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the motion does not
-        constrain the sensitivity, or the model does not describe the pixels.
+        constrain the sensitivity, or the model does not describe the pixels: chi-squared is above
+        100 per degree of freedom, below which ``error_scale`` alone tells.
 
     Notes
     -----
@@ -157,12 +159,15 @@ def fit_tpf(
     """
     if not isinstance(options, FitOptions | None):
         raise TypeError(f"`options` must be FitOptions or None, got {options!r}")
+    if not isinstance(progress, bool | None):
+        raise TypeError(f"`progress` must be True, False or None, got {progress!r}")
     motion = positions if isinstance(positions, Motion) else None
     options = Settings(
         **vars(options or FitOptions()), empirical=empirical,
         interpixel=_PRIOR if interpixel is None else interpixel,
         positions=positions if motion is None else "prior",
     )  # fmt: skip
+    psf = int(psf) if isinstance(psf, np.integer) else psf
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
     several = isinstance(tpf, list | tuple)
@@ -378,6 +383,8 @@ def _make_problem(series, places, prf, flux_err, options, motion):
             constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))
     span = stamps[0].time[[0, -1]].tolist()
+    if options.focus is not None and len(common) * options.focus < span[1] - span[0]:
+        raise ValueError(f"`focus` is shorter than the cadences are apart, {options.focus:.3g} d")
     given = tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target
     return Problem(*given), detectors
 

@@ -12,6 +12,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from scope_models._arrays import plain_tree
+from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.fitting import _parameters, _products
@@ -56,9 +57,11 @@ class TPFFit(Value):
         background in e-/s, with x_err, y_err, flux_err and background_err, which hold the
         uncertainty of the shared parameters; flux_scatter, the error of the flux less the mean
         flux, that of a light curve; focus, the relative width of the PSF, 1 where it was not
-        fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel, also
-        held_out, cadences from which it has not learned, and outliers, which it does not describe:
-        they are not part of it, nor of chi-squared.
+        fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel the
+        errors of x, y and background are those between cadences: what all of these share, as the
+        place of the first one, is left open, since the responses take it up. Then also held_out,
+        cadences from which it has not learned, and outliers, which it does not describe: they are
+        not part of it, nor of chi-squared.
     neighbors : tuple of FittedStar
         The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
@@ -300,8 +303,14 @@ class TPFFit(Value):
             Offsets of the points along columns and rows, pixels.
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is not a positive number.
         """
-        offset = np.linspace(-half, half, samples)
+        half = checked_number("half", half, positive=True)
+        offset = np.linspace(-half, half, checked_integer("samples", samples, 1))
         grid = np.meshgrid(offset, offset)
         density, slopes = _products.with_slopes(self, lambda psf: np.asarray(psf(*grid)))
         variance = np.einsum("iyx,ij,jyx->yx", slopes, self.covariance, slopes, optimize=True)

@@ -344,7 +344,8 @@ def _check_times(series, name):
     steps = np.flatnonzero(~(np.diff(known) > 0))
     if steps.size:
         before, after = known[steps[0] : steps[0] + 2]
-        raise ValueError(f"the times of {name} must increase, got {after} after {before}")
+        remedy = "sort the cadences, as `tpf[np.argsort(tpf.time.value)]`, and leave out doubles"
+        raise ValueError(f"the times of {name} must increase, got {after} after {before}: {remedy}")
     with _opening.naming(name):
         _ = series.time_format
 

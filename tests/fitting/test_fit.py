@@ -350,6 +350,8 @@ class TestBadInput:
             ({"interpixel": -1.0}, ValueError, "`interpixel` must not be negative"),
             ({"empirical": 1.5}, TypeError, "`empirical` must be an integer"),
             ({"options": {"loss": "l2"}}, TypeError, "`options` must be FitOptions or None"),
+            ({"options": FitOptions(focus=1e-6), "psf": 1}, ValueError, "`focus` is shorter than"),
+            ({"progress": "yes"}, TypeError, "`progress` must be True, False or None"),
         ],
     )
     def test_options(self, options, error, message):
@@ -363,11 +365,15 @@ class TestBadInput:
             ({"loss": "l2"}, "`loss` must be one of"),
             ({"neighbor_flux": "none"}, "`neighbor_flux` must be one of"),
             ({"max_steps": 0}, "`max_steps` must be at least 1"),
+            ({"saturation": "x"}, "`saturation` must be True or False"),
         ],
     )
     def test_rare_options(self, options, message):
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises((TypeError, ValueError), match=message):
             FitOptions(**options)
+
+    def test_a_number_of_components_of_numpy(self):
+        assert fit_tpf(make(n=5), psf=np.int64(1)).model.n_components == 1
 
     def test_not_a_file(self):
         with pytest.raises(TypeError, match="`tpf` must be a target pixel file"):

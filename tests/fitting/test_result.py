@@ -284,3 +284,5 @@ def test_shape_and_image_of_the_psf():
     true = psf(*np.meshgrid(offset, offset)) / psf(0, 0)
     assert np.all(np.abs(density / true - 1) < 0.02)
     assert np.all((error > 0) & (error < 0.01))
+    with pytest.raises(ValueError, match="`half` must be positive"):
+        fit.psf_image(-1)
