@@ -200,9 +200,11 @@ def _with_series(waves, solution, use, n_most):
     others = frequencies[~multiples(frequencies, base)]
     last = round(frequencies[multiples(frequencies, base)].max() / base)
     series = _Waves(others, base, last).completed(solution, use, n_most)
-    half = replace(series, base=series.base / 2).completed(solution, use, n_most)
-    odd = half.gains(solution, use)[: half.count : 2]
-    found = [waves, series, half] if np.max(odd, initial=0.0) >= _SIGNIFICANT else [waves, series]
+    found = [waves, series]
+    if not waves.count:
+        half = replace(series, base=series.base / 2).completed(solution, use, n_most)
+        if np.max(half.gains(solution, use)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
+            found.append(half)
     return max(found, key=lambda each: each.likelihood(solution, use))
 
 
