@@ -227,7 +227,7 @@ def test_command(files, tmp_path, capsys):
 
 
 def test_light_curves_of_real_stars_without_pos_corr(shared_data):
-    """They are as good as with their own."""
+    """They are as good as with their own, and better than the sums."""
     files = sorted((shared_data / "kepler_q12_ch4").glob("tpf_*.fits.gz"))
     motion, noise = Motion.from_tpfs(files[1:4]), []
     for path in (files[0], *files[4:]):
@@ -237,4 +237,4 @@ def test_light_curves_of_real_stars_without_pos_corr(shared_data):
         noise.append([cdpp(lc, method="everest") for lc in curves])
     raw, with_own, with_others = np.log(noise).T
     assert np.mean(with_others - with_own) < np.log(1.1)
-    assert np.min(with_others - raw) < np.log(0.7)
+    assert np.mean(with_others - raw) < 0
