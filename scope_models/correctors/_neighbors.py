@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._pixels import own_light, scatter, without_background
+from scope_models.correctors._pixels import scatter, without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
@@ -49,15 +49,13 @@ def without_neighbors(pixels, series, found):
     total = pixels.total - light
     usable = pixels.usable & (np.nan_to_num(total) > 0)
     share = float(np.median((total / pixels.total)[usable])) if usable.any() else 1.0
+    pixels = replace(
+        pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
+        own=np.ones_like(pixels.aperture), crowding=min(share, 1.0), neighbors=found,
+    )  # fmt: skip
     positions = series.pos_corr
     if positions is None or not usable_positions(positions).any():
         positions = found.positions - np.nanmedian(found.positions, axis=0)
-    use, around = pixels.usable, (pixels.aperture, pixels.core)
-    own = own_light(flux[use], *around, positions[use], pixels.place)[0]  # some may be left
-    pixels = replace(
-        pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
-        own=own, crowding=min(share, 1.0), neighbors=found,
-    )  # fmt: skip
     return pixels, series.replace(flux=flux, pos_corr=positions)
 
 

@@ -38,7 +38,6 @@ __all__ = [
     "choose_aperture",
     "credible_flux",
     "noise_ratios",
-    "own_light",
     "scatter",
     "typical_image",
     "warn_of_pipeline",
@@ -354,7 +353,7 @@ def aperture_pixels(series, aperture):
     places = None if series.pos_corr is None else series.pos_corr[positive]
     core = aperture & series.aperture
     core = core if core.any() else aperture
-    own, crowding, core = own_light(flux[positive], aperture, core, places, place)
+    own, crowding, core = _own_light(flux[positive], aperture, core, places, place)
     if chosen:
         _compare_pipeline(series, aperture, positive, own)
     return Pixels(
@@ -405,7 +404,7 @@ def _jumps(flux):
     return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
 
 
-def own_light(flux, aperture, core, pos_corr, place):
+def _own_light(flux, aperture, core, pos_corr, place):
     """Return the star's pixels, their part of the aperture's light, and those of its peak."""
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
