@@ -21,8 +21,9 @@ _ROUNDS = 20
 #: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
-#: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, and number
-#: of steps, which end with one that is small beside its error.
+#: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, a quarter
+#: of it after each step that led nowhere; and number of steps, which end with one that is small
+#: beside its error.
 _SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.5
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
@@ -201,7 +202,7 @@ def _with_series(waves, solution, use, n_most):
     last = round(frequencies[multiples(frequencies, base)].max() / base)
     series = _Waves(others, base, last).completed(solution, use, n_most)
     found = [waves, series]
-    if not waves.count:
+    if not waves.count:  # later its odd multiples are peaks of their own
         half = replace(series, base=series.base / 2).completed(solution, use, n_most)
         if np.max(half.gains(solution, use)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
             found.append(half)

@@ -60,7 +60,8 @@ NOISIER = (
     "the corrected light curve scatters more than the sum over the aperture, or there is no light "
     "above the noise: do not use it"
 )
-#: Tolerance: pixels farther from the aperture than this (px) are left out.
+#: Tolerance: pixels farther from the aperture than this (px) are left out: tables of the PRFs of
+#: Kepler and TESS end 5.5 to 7.5 px from the star.
 _REACH = 7
 #: Branch: pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2

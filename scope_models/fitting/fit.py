@@ -128,7 +128,7 @@ def fit_tpf(
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the motion does not
         constrain the sensitivity, or the model does not describe the pixels: chi-squared is above
-        100 per degree of freedom, below which ``error_scale`` alone tells.
+        100 per degree of freedom. Below this ``error_scale`` is the only sign of it.
 
     Notes
     -----

@@ -292,7 +292,7 @@ class TPFFit(Value):
 
         Parameters
         ----------
-        half : float, optional
+        half : float or `~astropy.units.Quantity`, optional
             Pixels from the center to the border.
         samples : int, optional
             Points along an axis.
@@ -309,7 +309,7 @@ class TPFFit(Value):
         TypeError, ValueError
             If an argument is not a positive number.
         """
-        half = checked_number("half", half, positive=True)
+        half = checked_number("half", half, "pix", positive=True)
         offset = np.linspace(-half, half, checked_integer("samples", samples, 1))
         grid = np.meshgrid(offset, offset)
         density, slopes = _products.with_slopes(self, lambda psf: np.asarray(psf(*grid)))
