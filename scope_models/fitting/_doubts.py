@@ -6,7 +6,7 @@ from scipy.stats import f as f_distribution
 from scope_models.fitting._products import SMOOTHING_DAYS, smoothed
 from scope_models.fitting._start import APART, find_stars
 
-__all__ = ["CERTAIN", "LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed"]
+__all__ = ["CERTAIN", "LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed", "is_measured"]
 
 # The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
@@ -31,6 +31,11 @@ def doubts_of(fit):
     return [*_of_parameters(fit), *_of_pixels(fit), *_of_positions(fit), *_of_flux(fit)]
 
 
+def is_measured(power, error):
+    """Whether a coefficient of a sensitivity, of an axis and power, has an error so small."""
+    return error * 0.5 ** power[1] < _LARGEST_EDGE_ERROR
+
+
 def _of_parameters(fit):
     if not fit.converged and not fit.at_bounds:
         yield (
@@ -43,7 +48,7 @@ def _of_parameters(fit):
         ended = f"the fit ends at bounds, {', '.join(others)}"
         yield f"{ended}: the model does not describe the pixels; try another `psf`"
     for name in filter(powers.get, fit.names):
-        (axis, power), value, error = powers[name], fit.values[name], fit.errors[name]
+        axis, value, error = powers[name][0], fit.values[name], fit.errors[name]
         if name in fit.at_bounds:
             yield (
                 f"the sensitivity is at its bound, {name} = {value:.3g}: it describes "
@@ -55,7 +60,7 @@ def _of_parameters(fit):
                 f"the noise (chi-squared {fit.reduced_chi2:.3g}), and {name} = {value:.3g} "
                 "describes that"
             )
-        elif not error * 0.5**power < _LARGEST_EDGE_ERROR:
+        elif not is_measured(powers[name], error):
             yield (
                 f"the motion ({np.std(getattr(fit, axis)):.2g} px rms along {axis}) does not "
                 f"constrain the sensitivity: {name} = {value:.3g} +- {error:.2g}"

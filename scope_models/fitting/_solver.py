@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, Problem, State
 
-__all__ = ["Errors", "Solution", "covariances", "psf_covariance", "solve"]
+__all__ = ["Errors", "Solution", "covariances", "expected_gain", "psf_covariance", "solve"]
 
 # Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
 # back; damping where the start is the result of a fit.
@@ -107,6 +107,11 @@ def _distance(problem, equations, shared, only):
     basis = _directions(problem, _outward(problem, shared, gradient), only)
     inverse = _inverse(matrix, equations.shared, basis, known=True)
     return float(np.sum(right[..., -1] ** 2) + gradient @ inverse @ gradient)
+
+
+def expected_gain(problem, state):
+    """By how much a step from a state would lower the cost, to second order."""
+    return _distance(problem, problem.expand(state), state.shared, None)
 
 
 def _step(problem, state, equations, only, damping):

@@ -26,6 +26,7 @@ from scope_models.pixelmodel._position import COORDINATES, nearness
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
     "make_prf", "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
+    "with_response",
 ]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
@@ -292,6 +293,14 @@ def make_rich_prfs(sensitivity):
         for name in ("sigma_x", "sigma_y"):  # a wider one would be background
             psf.bounds[name] = (psf.bounds[name][0], _SIGMAS[1])
         yield make_prf(psf, sensitivity, _RICH_ORDER)
+
+
+def with_response(prf):
+    """The same model of a star with pixels that respond unevenly within, to second order."""
+    other = models.PRF(prf.psf * models.SensitivityPolynomial([1, 0, 0], [1, 0, 0]))
+    for name in prf.param_names:
+        getattr(other, name).bounds = getattr(prf, name).bounds
+    return _with_fixed(other, dict.fromkeys(other.response_powers, False) | dict(prf.fixed))
 
 
 def _with_fixed(prf, fixed):

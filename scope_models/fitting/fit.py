@@ -13,10 +13,16 @@ from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import _start
-from scope_models.fitting._doubts import CERTAIN, LARGEST_FLUX, LARGEST_SCATTER, doubts_of
+from scope_models.fitting._doubts import (
+    CERTAIN,
+    LARGEST_FLUX,
+    LARGEST_SCATTER,
+    doubts_of,
+    is_measured,
+)
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
-from scope_models.fitting._solver import covariances, solve
+from scope_models.fitting._solver import covariances, expected_gain, solve
 from scope_models.fitting.result import make_results
 from scope_models.io.pixels import read_pixels
 from scope_models.scene.detector import Detector
@@ -73,7 +79,9 @@ def fit_tpf(
         one with an empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
-        constants are always fixed, because they are the flux. None: the response is 1.
+        constants are always fixed, because they are the flux. None: the response is 1; if ``psf``
+        is None too, and the model describes the pixels only with a response within them, which
+        the motion measures to 1.25 % at a pixel's edge, it is a polynomial of second order.
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
@@ -127,7 +135,8 @@ def fit_tpf(
     -----
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the motion does not
-        constrain the sensitivity, or the model does not describe the pixels: chi-squared is above
+        constrain the sensitivity, a response within pixels that is not in the model would lower
+        chi-squared by more than 25, or the model does not describe the pixels: chi-squared is above
         100 per degree of freedom. Below this ``error_scale`` is the only sign of it.
 
     Notes
@@ -192,6 +201,12 @@ def fit_tpf(
         fits = make_results(solution, covariances(solution), detectors, series)
         if response == "pixels":
             fits = fit_response(problem, solution, fits, bar)
+    if gain := response == "psf" and _hidden_gain(solution):
+        message = (
+            f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
+            "PSF is wrong by more than its errors: give a `sensitivity`, or another `psf`"
+        )
+        warnings.warn(message, FitWarning, stacklevel=2)
     for flux in _rivals(tried, fits[0]):
         message = (
             f"another model describes the pixels as well, with a flux of {flux:.4g} e-/s in place "
@@ -222,7 +237,8 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
             if len(few.flux) == len(problem.flux):
                 return "psf", tried, tried[0]
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
-            return "psf", tried, _fitted(every, steps, most if seen else 1, tried[0])
+            found = _fitted(every, steps, most if seen else 1, tried[0])
+            return "psf", tried, _with_response(found, steps) if any_psf else found
     # The PSF from which the pixels deviate.
     prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
@@ -277,7 +293,9 @@ def _tried(candidates, steps, *, few, doubtful=False):
         every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
         thin = replace(problem, stamps=tuple(s[::every] for s in problem.stamps))
         tried.append(_fitted(thin, steps, most, doubtful=doubtful))
-        if _is_true(tried[-1], strictly=few):
+        if few:
+            tried[-1] = _with_response(tried[-1], steps)
+        if _is_true(tried[-1], strictly=few) and not (few and _hidden_gain(tried[-1])):
             break
     return sorted(tried, key=_rank)
 
@@ -322,6 +340,45 @@ def _rivals(tried, fit):
         as_good = abs(cost - costs[0]) < costs[0] * np.sqrt(2 / best.dof)
         if as_good and abs(flux - np.median(fit.flux)) > 3 * error and not _is_strange(found):
             yield flux
+
+
+def _with_response(solution, steps):
+    """Return the fit with a response within pixels, where one without hides it, if it is measured.
+
+    Else the motion does not tell it from the width, and the flux would be uncertain.
+    """
+    if not _hidden_gain(solution):
+        return solution
+    other = steps(*_richer(solution), n_steps=solution.n_steps, max_steps=_FEW_STEPS)
+    powers, errors = other.problem.prf.response_powers, np.diag(covariances(other).shared)
+    measured = all(
+        is_measured(powers[parameter.name], np.sqrt(variance))
+        for parameter, variance in zip(other.problem.parameters, errors, strict=False)
+        if parameter.kind == "response"
+    )
+    return other if measured and _is_true(other, strictly=True) and not _ends(other) else solution
+
+
+def _richer(solution):
+    """Return the problem with a response within pixels, and the state with one of 1."""
+    problem, state = solution.problem, solution.state
+    richer = _with(problem, _start.with_response(problem.prf))
+    values = {parameter.name: parameter.start for parameter in richer.parameters}
+    values |= zip((p.name for p in problem.parameters), state.shared, strict=True)
+    return richer, replace(state, shared=np.array([values[p.name] for p in richer.parameters]))
+
+
+def _hidden_gain(solution):
+    """By how much a response within pixels would lower chi-squared of a fit without one.
+
+    0 if by chance; where the model is not true, so that its errors are scaled up; and with a focus,
+    which is of first order.
+    """
+    prf, focus = solution.problem.prf, solution.problem.options.focus
+    if not _is_true(solution) or prf.response_powers or prf.table is not None or focus is not None:
+        return 0.0
+    gain = expected_gain(*_richer(solution))
+    return gain if gain > CERTAIN**2 else 0.0
 
 
 def _is_true(solution, *, strictly=False):
