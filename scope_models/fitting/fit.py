@@ -4,6 +4,7 @@ import warnings
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial, reduce
+from itertools import chain
 
 import numpy as np
 from astropy.modeling import Model
@@ -201,22 +202,10 @@ def fit_tpf(
         fits = make_results(solution, covariances(solution), detectors, series)
         if response == "pixels":
             fits = fit_response(problem, solution, fits, bar)
-    if gain := response == "psf" and _hidden_gain(solution):
-        message = (
-            f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
-            "PSF is wrong by more than its errors: give a `sensitivity`, or another `psf`"
-        )
-        warnings.warn(message, FitWarning, stacklevel=2)
-    for flux in _rivals(tried, fits[0]):
-        message = (
-            f"another model describes the pixels as well, with a flux of {flux:.4g} e-/s in place "
-            f"of {np.median(fits[0].flux):.4g}: give the `psf`"
-        )
-        warnings.warn(message, FitWarning, stacklevel=2)
     with one_thread:
-        for fit in fits:
-            for doubt in doubts_of(fit):
-                warnings.warn(doubt, FitWarning, stacklevel=2)
+        models = _of_models(response, tried, solution, fits[0])
+        for doubt in chain(models, *map(doubts_of, fits)):
+            warnings.warn(doubt, FitWarning, stacklevel=2)
     return tuple(fits) if several else fits[0]
 
 
@@ -331,15 +320,23 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
     return solution
 
 
-def _rivals(tried, fit):
-    """Fluxes, other than that of a fit, of models whose cost is as low as that of the best."""
+def _of_models(response, tried, solution, fit):
+    """Doubts about a fit that other models raise: a response within pixels, and another flux."""
+    if gain := response == "psf" and _hidden_gain(solution):
+        yield (
+            f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
+            "PSF is wrong by more than its errors: give a `sensitivity`, or another `psf`"
+        )
     best, error = tried[0].problem, np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
     costs = [found.equations.cost * found.problem.error_scale**2 for found in tried]
     for found, cost in zip(tried, costs, strict=True):
         flux = np.median(found.problem.fluxes(found.state))
         as_good = abs(cost - costs[0]) < costs[0] * np.sqrt(2 / best.dof)
         if as_good and abs(flux - np.median(fit.flux)) > 3 * error and not _is_strange(found):
-            yield flux
+            yield (
+                f"another model describes the pixels as well, with a flux of {flux:.4g} e-/s in "
+                f"place of {np.median(fit.flux):.4g}: give the `psf`"
+            )
 
 
 def _with_response(solution, steps):
