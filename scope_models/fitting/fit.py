@@ -225,9 +225,12 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
         if not simple or _is_true(tried[0], strictly=True):
             if len(few.flux) == len(problem.flux):
                 return "psf", tried, tried[0]
-            every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
-            found = _fitted(every, steps, most if seen else 1, tried[0])
-            return "psf", tried, _with_response(found, steps) if any_psf else found
+            most = (_MANY_STEPS if any_psf else np.inf) if seen else 1
+            found = _of_all(tried[0], problem, steps, most)
+            if any_psf and _hidden_gain(found):
+                other = _with_response(tried[0], steps, len(problem.flux))
+                found = found if other is tried[0] else _of_all(other, problem, steps, most)
+            return "psf", tried, found
     # The PSF from which the pixels deviate.
     prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
@@ -282,8 +285,8 @@ def _tried(candidates, steps, *, few, doubtful=False):
         every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
         thin = replace(problem, stamps=tuple(s[::every] for s in problem.stamps))
         tried.append(_fitted(thin, steps, most, doubtful=doubtful))
-        if few:
-            tried[-1] = _with_response(tried[-1], steps)
+        if few and _hidden_gain(tried[-1]):
+            tried[-1] = _with_response(tried[-1], steps, len(problem.flux))
         if _is_true(tried[-1], strictly=few) and not (few and _hidden_gain(tried[-1])):
             break
     return sorted(tried, key=_rank)
@@ -320,6 +323,11 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
     return solution
 
 
+def _of_all(solution, problem, steps, most):
+    """Return the fit of all cadences of a problem, from the solution for some of them."""
+    return _fitted(replace(solution.problem, stamps=problem.stamps), steps, most, solution)
+
+
 def _of_models(response, tried, solution, fit):
     """Doubts about a fit that other models raise: a response within pixels, and another flux."""
     if gain := response == "psf" and _hidden_gain(solution):
@@ -339,18 +347,17 @@ def _of_models(response, tried, solution, fit):
             )
 
 
-def _with_response(solution, steps):
-    """Return the fit with a response within pixels, where one without hides it, if it is measured.
+def _with_response(solution, steps, n_cadences):
+    """Return the fit with a response within pixels if that is measured in so many cadences.
 
     Else the motion does not tell it from the width, and the flux would be uncertain.
     """
-    if not _hidden_gain(solution):
-        return solution
-    other = steps(*_richer(solution), n_steps=solution.n_steps, max_steps=_FEW_STEPS)
-    powers, errors = other.problem.prf.response_powers, np.diag(covariances(other).shared)
+    other = steps(*_richer(solution), n_steps=solution.n_steps, max_steps=_MANY_STEPS)
+    powers, errors = other.problem.prf.response_powers, np.sqrt(np.diag(covariances(other).shared))
+    errors = errors * np.sqrt(len(other.problem.flux) / n_cadences)
     measured = all(
-        is_measured(powers[parameter.name], np.sqrt(variance))
-        for parameter, variance in zip(other.problem.parameters, errors, strict=False)
+        is_measured(powers[parameter.name], error)
+        for parameter, error in zip(other.problem.parameters, errors, strict=False)
         if parameter.kind == "response"
     )
     return other if measured and _is_true(other, strictly=True) and not _ends(other) else solution
