@@ -17,9 +17,8 @@ LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
-# Flux over the light in the pixels from which a model has invented it, and reduced chi-squared from
-# which it does not describe them.
-LARGEST_FLUX, _LARGEST_CHI2 = 2.0, 100.0
+# Flux over the light in the pixels from which a model has invented it.
+LARGEST_FLUX = 2.0
 # Errors beyond which a flux is negative, or is light, and probability of what is not by chance.
 CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.
@@ -80,11 +79,12 @@ def _of_pixels(fit):
             f"the flux is {invented:.4g} e-/s, but the pixels hold {light:.4g}: the PSF has most "
             "of its light outside of them, or two of its terms cancel"
         )
-    if fit.reduced_chi2 > _LARGEST_CHI2:
+    if fit.error_scale > 1:
         row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
         yield (
             f"the model does not describe the pixels: chi-squared per degree of freedom is "
-            f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
+            f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}; all errors are "
+            f"{fit.error_scale:.3g} times those of the noise"
             + ("" if fit.response else '; response="pixels" fits the share of each pixel')
         )
         stars = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])

@@ -137,8 +137,8 @@ def fit_tpf(
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the motion does not
         constrain the sensitivity, a response within pixels that is not in the model would lower
-        chi-squared by more than 25, or the model does not describe the pixels: chi-squared is above
-        100 per degree of freedom. Below this ``error_scale`` is the only sign of it.
+        chi-squared by more than 25, or the model does not describe the pixels, so that
+        ``error_scale`` is above 1.
 
     Notes
     -----
@@ -379,7 +379,8 @@ def _hidden_gain(solution):
     which is of first order.
     """
     prf, focus = solution.problem.prf, solution.problem.options.focus
-    if not _is_true(solution) or prf.response_powers or prf.table is not None or focus is not None:
+    given = prf.sensitivity or prf.table or focus
+    if given is not None or not _is_true(solution):
         return 0.0
     gain = expected_gain(*_richer(solution))
     return gain if gain > CERTAIN**2 else 0.0
