@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import null_space
+from scipy.linalg import block_diag, null_space
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
@@ -46,7 +46,8 @@ class FitOptions(Value):
         Background left in the pixels.
     focus : float or `~astropy.units.Quantity`, optional
         Shortest time, days, in which the width of the PSF changes: all distances from the star
-        scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
+        scale with a cubic spline of time, of mean 1 and with a prior of 5 %, to first order in
+        the change, so that widths err by about its variance (1e-4 if it is 1 %).
         None: the width is constant.
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
@@ -216,6 +217,12 @@ class Problem:
         inner = np.linspace(first, last, max(1, int((last - first) / self.options.focus)) + 1)
         knots = np.concatenate([[first] * 3, inner, [last] * 3])
         return BSpline.design_matrix(self.data.time, knots, 3).toarray()
+
+    @cached_property
+    def free_shared(self):
+        """Directions of the shared parameters, whose last are the focus, that keep its mean."""
+        n, mean = self.focus_basis.shape[1], self.focus_basis.mean(axis=0)
+        return block_diag(np.eye(self.n_shared - n), null_space(mean[None]) if n else np.eye(0))
 
     def focus(self, state):
         """Relative width of the PSF less 1, shape ``(n,)``."""

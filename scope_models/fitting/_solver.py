@@ -56,7 +56,8 @@ def _directions(problem, held, only):
     response = problem.free_response
     if only is not None:
         held, response = held | ~only, response[:, :0]
-    return block_diag(np.eye(problem.n_shared)[:, ~held], response)
+    free = problem.free_shared
+    return block_diag(free[:, ~held[: free.shape[1]]], response)
 
 
 def _damped(matrix, damping):

@@ -252,8 +252,12 @@ def test_focus():
     fit = fit_tpf(tpf, 1, interpixel=0, options=FitOptions(focus=0.5, saturation=False))
     used = np.isin(observation.cadenceno, fit.cadenceno)
     truth = observation.truth.columns["FOCUS"][used]
-    relative = fit.focus / fit.focus.mean() - truth / truth.mean()
+    assert fit.focus.mean() == pytest.approx(1, abs=1e-9)
+    relative = fit.focus - truth / truth.mean()
     assert relative.std() < 0.01 * truth.std()
+    for name in ("sigma_x", "sigma_y"):
+        assert fit.values[name] == pytest.approx(0.5 * truth.mean(), rel=1e-4)
+        assert fit.errors[name] < 2e-5
     assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
     with pytest.warns(FitWarning, match="does not describe the pixels"):
         constant = fit_tpf(tpf, 1, interpixel=0, options=FitOptions(saturation=False))
