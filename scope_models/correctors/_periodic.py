@@ -7,7 +7,7 @@ from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import FLAT, Hyperparameters
+from scope_models.correctors._regression import Hyperparameters
 
 __all__ = ["find_waves"]
 
@@ -91,13 +91,15 @@ class _Waves:
         if count:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
-        unit = size / np.ptp(fitted.data.time) / sizes / np.sqrt(FLAT * fitted.data.spread)
-        posterior = fitted.with_more(slope * unit, fitted.use).posterior
-        own = slice(k + last, k + last + len(unit))
-        step = unit * posterior.mean[own]
+        slope = slope[fitted.use]
+        solved = fitted.process.solve(slope)
+        precision = slope.T @ solved + fitted.posterior.left(fitted.data.columns.T @ solved)
+        precision.flat[:: len(sizes) + 1] += (sizes * np.ptp(fitted.data.time) / size) ** 2
+        covariance = np.linalg.inv(precision)
+        step = covariance @ (slope.T @ fitted.alpha)
         base = self.base + step[0] if count else 0.0
-        errors = unit * np.sqrt(np.diag(posterior.covariance)[own])
-        return _Waves(self.others + step[int(count > 0) :], base, count), np.abs(step) / errors
+        steps = np.abs(step) / np.sqrt(np.diag(covariance))
+        return _Waves(self.others + step[int(count > 0) :], base, count), steps
 
     def gains(self, solution, use):
         """Return what each frequency gains beside the others: twice the log-likelihood."""

@@ -162,6 +162,19 @@ class Posterior:
         #: y^T Q y with the inverse Q of the covariance of everything
         self.quadratic = gram[-1, -1] - self._projected @ self._projected
 
+    def log_likelihood(self, process, n):
+        """Return the logarithm of the marginal likelihood of ``n`` data, of noise and process."""
+        value = self.quadratic + self.log_determinant + process.log_determinant
+        return -0.5 * float(value + n * np.log(2 * np.pi))
+
+    def left(self, products):
+        """Return what the columns leave of the Gram matrix of others, but for these themselves.
+
+        ``products`` are the Gram matrix's of the columns with the others, ``(k, m)``.
+        """
+        part = dtrtrs(self._lower, self._root[:, None] * products, lower=1)[0]
+        return -part.T @ part
+
     @cached_property
     def mean(self):
         """Mean of the coefficients."""
@@ -198,9 +211,7 @@ def log_likelihood(data, hyper, *, gradient=False):
     prior = hyper.prior(data)
     z = process.whiten(stacked)
     posterior = Posterior(z.T @ z, prior)
-    n = len(data.y)
-    value = -0.5 * (posterior.quadratic + posterior.log_determinant)
-    value -= 0.5 * (process.log_determinant + n * np.log(2 * np.pi))
+    value = posterior.log_likelihood(process, len(data.y))
     if not gradient:
         return value
     mean = posterior.mean

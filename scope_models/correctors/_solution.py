@@ -13,7 +13,6 @@ from scope_models.correctors._regression import (
     Posterior,
     fit_columns,
     fit_hyperparameters,
-    log_likelihood,
 )
 from scope_models.correctors._short import short_changes, with_edges
 
@@ -115,7 +114,8 @@ class Solution:
 
     @cached_property
     def posterior(self):
-        return Posterior(self.data.stacked.T @ self.solved, self.hyper.prior(self.data))
+        whitened = self.process.whiten(self.data.stacked)
+        return Posterior(whitened.T @ whitened, self.hyper.prior(self.data))
 
     @property
     def n_regressors(self):
@@ -123,7 +123,7 @@ class Solution:
 
     @cached_property
     def log_likelihood(self):
-        return float(log_likelihood(self.data, self.hyper))
+        return self.posterior.log_likelihood(self.process, len(self.data.y))
 
     @cached_property
     def solved(self):

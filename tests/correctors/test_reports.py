@@ -278,7 +278,10 @@ def test_a_star_that_vanishes_beside_constant_light(fake_star):
     assert corrector.result.contamination > 0.1
     flux = lc.flux.value
     assert np.isfinite(flux[~eclipsed]).all()
-    assert np.std(flux[~eclipsed]) < 6e-4 * np.median(flux[~eclipsed])
+    # Two solutions are nearly as good, and rounding chooses; in one a pixel seems to be hit once.
+    outside = ~eclipsed & ~corrector.outlier_mask
+    assert outside.sum() >= (~eclipsed).sum() - 1
+    assert np.std(flux[outside]) < 4e-4 * np.median(flux[outside])
 
 
 def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
