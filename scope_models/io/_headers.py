@@ -2,7 +2,7 @@
 
 import datetime as dt
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -170,14 +170,16 @@ def calendar_dates(zero, days):
 def pixel_column_cards(columns, metadata, shape):
     """Return keyword, value and comment of the cards of the columns of the pixel table."""
     cards, places, sky = [], [], tan_projection(metadata, shape)
+    displays = dict(zip("DEJ", metadata.layout.displays, strict=True))
     for n, column in enumerate(columns, 1):
         size = column.image_shape(shape)
+        unit = metadata.layout.time_unit if column.name == "TIME" else column.unit
         defined = [
             ("TTYPE", column.name, f"column title: {column.title}"),
             ("TFORM", f"{size[0] * size[1] if size else ''}{column.kind}", "column format"),
-            ("TUNIT", column.unit, "column unit"),
+            ("TUNIT", unit, "column unit"),
             ("TNULL", column.null, "value of pixels without data"),
-            ("TDISP", column.display, "column display format"),
+            ("TDISP", column.display or displays[column.kind], "column display format"),
             ("TDIM", f"({size[1]},{size[0]})" if size else None, "column dimensions"),
         ]
         cards += [(f"{name}{n}", value, text) for name, value, text in defined if value is not None]
@@ -274,12 +276,7 @@ def _checked_card(keyword, given):
 
 
 def pixel_columns(mission):
-    displays, columns = dict(zip("DEJ", mission.displays, strict=True)), []
-    for item in _COLUMNS:
-        unit = mission.time_unit if item.name == "TIME" else item.unit
-        if item.name not in mission.absent_columns:
-            columns.append(replace(item, unit=unit, display=item.display or displays[item.kind]))
-    return columns
+    return [column for column in _COLUMNS if column.name not in mission.absent_columns]
 
 
 def table_rows(columns, values):

@@ -42,8 +42,7 @@ _INSTRUMENTS = {"TESS": ("phot", "tess")}
 _KEPLER = "kepler", "kepler"
 _RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}
 _ID, _VERSION = re.compile(r"[a-z][a-z0-9-]{0,18}[a-z0-9]"), re.compile(r"\d{1,2}(\.\d{1,2}){0,2}")
-#: Longest name of a target with its run, and of a file.
-_LONGEST_TARGET, _LONGEST_NAME = 30, 90
+_LONGEST_TARGET, _LONGEST_NAME = 30, 90  # names of a target with its run, and of a file
 
 
 def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):

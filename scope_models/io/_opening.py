@@ -133,8 +133,7 @@ def _check(hdus, content, path):
         hdu = hdus[number]  # read now
         place = hdu.fileinfo()
         start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
-        kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
-        if not isinstance(hdu, kinds):
+        if not isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU | fits.BinTableHDU | fits.TableHDU):
             raise TypeError(f"HDU {number} is neither an image nor a table")
         if end > len(content) or place["datSpan"] < 0:
             raise ValueError(f"HDU {number} claims more bytes than the file has")

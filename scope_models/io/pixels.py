@@ -134,8 +134,7 @@ class PixelSeries(Value):
             If no cadence is left, or the choice is unknown.
         """
         named = {"none": 0, "default": self.mission.quality.rejected if self.mission else 0}
-        is_name = isinstance(quality_bitmask, str)
-        bits = named.get(quality_bitmask) if is_name else quality_bitmask
+        bits = named.get(quality_bitmask) if isinstance(quality_bitmask, str) else quality_bitmask
         is_integer = isinstance(bits, Integral) and not isinstance(bits, bool)
         if not is_integer:
             wanted = '"default", "none" or an integer'
@@ -397,13 +396,14 @@ def positions_of(source):
     form = getattr(source.time, "format", None)
     if "BJDREFI" not in header and form in TIME_ZEROS:
         header["BJDREFI"] = int(TIME_ZEROS[form])
-    columns |= {"time_format": _opening.time_format_of(header), "meta": _opening.facts_of(header)}
+    time_format = _opening.time_format_of(header) or "bkjd"
+    columns |= {"time_format": time_format, "meta": _opening.facts_of(header)}
     for name in ("quality", "cadenceno"):
         value = _attribute(source, name)
         columns[name] = None if value is None else np.asarray(without_unit(value))
     time = source.time
     if not isinstance(time, Time) or time.format not in TIME_ZEROS or np.any(time.mask):
-        time = plain_time(time, columns["time_format"] or "bkjd", "time of tpf")
+        time = plain_time(time, time_format, "time of tpf")
     return columns | {"time": np.array(without_unit(time), dtype=float).reshape(-1)}
 
 

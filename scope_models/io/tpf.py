@@ -28,10 +28,9 @@ __all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "wr
 _COMPRESSION = 4  # 0.6 of the time of gzip's default, 6, for 3 % larger files
 _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
 _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
-# Fields that a mission, and a detector, have by the same name.
+# Fields that a mission and a detector, or only a detector, have by the same name.
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
-_OF_DETECTOR = (*_OF_MISSION, "mission", "n_frames", "gain", "read_noise", "mean_black")
-_OF_DETECTOR += ("fixed_offset",)
+_OF_DETECTOR = ("mission", "n_frames", "gain", "read_noise", "mean_black", "fixed_offset")
 _SIMULATED = ("SIMDATA", True, "the data are simulated")
 _NOT_SIMULATED = ("SIMDATA", False, "the data are not simulated")
 
@@ -214,7 +213,7 @@ class TPFMetadata(Value):
         >>> TPFMetadata.of(Detector.tess(), target_id=7).reads
         48
         """
-        own = {name: getattr(detector, name) for name in _OF_DETECTOR}
+        own = {name: getattr(detector, name) for name in (*_OF_MISSION, *_OF_DETECTOR)}
         return cls(**(own | {"n_readouts": detector.n_reads} | facts))
 
     @property
@@ -467,8 +466,7 @@ def _tpf_blocks(
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
-    number = ("NEXTEND", len(blocks), "number of extensions")
-    return [Block.of([number, *primary]), *blocks]
+    return [Block.of([("NEXTEND", len(blocks), "number of extensions"), *primary]), *blocks]
 
 
 def _cosmic_ray_hdu(metadata, values, simulated):
