@@ -19,14 +19,11 @@ __all__ = [
     "share_of_target", "shown",
 ]  # fmt: skip
 
-# Seconds after which a bar shows the progress.
-_PATIENCE = 5.0
+_PATIENCE = 5.0  # s after which a bar shows the progress
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
 _PIECE = 1 << 16
-# A pixel with less than this part of a star's light is dark. Interpolation errs by less.
-_DARK = 1e-13
-# Relative width of the PSF from which integrals over pixels find all of its light.
-_NARROWEST = 1e-3
+_DARK = 1e-13  # part of a star's light below which a pixel is dark; interpolation errs by less
+_NARROWEST = 1e-3  # relative width of the PSF from which integrals over pixels find all its light
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +114,7 @@ def _star_lights(scene, positions, conditions, effects):
             raise ValueError("`psf` must be given for the star or for the detector")
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
-        given = *place, widths, moved.blur, (x_0, y_0)
-        series = ImageSeries(psf, response, detector.shape, *given)
+        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur, (x_0, y_0))
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
         found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
         shares = tuple(share for share in found if share is not None)

@@ -9,11 +9,7 @@ from astropy.io import fits
 from scope_models._checks import on_stamp
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import read_pixels, read_tpf
-from scope_models.scene._files import read_scene
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.scene import Scene
-from scope_models.scene.star import Star
+from scope_models.scene import Detector, Motion, Scene, Star, read_scene
 from scope_models.simulation.simulate import simulate
 
 __all__ = ["inject"]
@@ -101,9 +97,12 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     table = hdus[1].data
     flux = series.flux + change
     if noise:
-        rng = np.random.default_rng(seed)
-        drawn, error = _noise(change / exposure, error**2, kept, residual, rng)
-        flux = flux + drawn
+        # What is left of the residuals has a part of the variance; new noise adds the rest.
+        wanted, stays = error**2 + change / exposure, kept**2 * error**2
+        missing = np.maximum(wanted - stays, 0.0)
+        drawn = np.sqrt(missing) * np.random.default_rng(seed).standard_normal(missing.shape)
+        flux = flux + (drawn + (kept - 1) * residual)
+        error = np.sqrt(np.maximum(wanted, stays))
         table["FLUX_ERR"][rows] = np.where(known, error, series.flux_err)
     table["FLUX"][rows] = flux
     hdus[1].header.remove("CHECKSUM", ignore_missing=True)
@@ -115,14 +114,6 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     added = np.where(np.isfinite(series.flux), change, 0.0)
     _record(hdus, series, relative, added, star if signal is None else None)
     return type(original)(hdus, quality_bitmask=original.quality_bitmask)
-
-
-def _noise(change, variance, kept, residual, rng):
-    """Return the change of the noise by one of the variance, and the standard deviation of all."""
-    left = variance + change
-    missing = np.maximum(left - kept**2 * variance, 0.0)
-    drawn = np.sqrt(missing) * rng.standard_normal(missing.shape) + (kept - 1) * residual
-    return drawn, np.sqrt(np.maximum(left, kept**2 * variance))
 
 
 def _relative_flux(signal, tpf, series):
@@ -168,8 +159,7 @@ def _multiplied(star, relative, tpf, series, electrons):
     lost = np.minimum(np.maximum(-expected, 0.0), electrons)
     kept = 1 - np.divide(lost, electrons, out=np.zeros_like(lost), where=electrons > 0)
     # the flux, not the model, has the background that is left in the file
-    residual = series.flux - unchanged.flux
-    return expected, kept, residual, after if star is None else None
+    return expected, kept, series.flux - unchanged.flux, after if star is None else None
 
 
 def _scene_of(star, series, tpf=None):

@@ -20,8 +20,7 @@ from scope_models.simulation import _light
 
 __all__ = ["Observation"]
 
-# lightkurve's masks.
-_MASKS = ("pipeline", "threshold", "default", "background", "all")
+_MASKS = ("pipeline", "threshold", "default", "background", "all")  # those of lightkurve
 # What files have as it is here.
 _WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_err", "quality")
 

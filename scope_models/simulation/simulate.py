@@ -22,13 +22,11 @@ from scope_models.simulation.observation import Observation
 
 __all__ = ["simulate"]
 
-# A star that loses more of its light off the stamp than this raises a warning.
-_LARGEST_LOSS = 0.05
+_LARGEST_LOSS = 0.05  # part of the light that may be lost off the stamp without a warning
 _LARGEST_COUNT = np.iinfo(np.int32).max
 # Standard deviation of the rounding of a number near 1 to single precision.
 _ROUNDING = float(np.finfo(np.float32).eps) / 12**0.5
-# Cadences that are enough to choose an aperture.
-_APERTURE_CADENCES = 64
+_APERTURE_CADENCES = 64  # enough to choose an aperture
 
 
 def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=None, **options):
@@ -79,10 +77,6 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     The same seed gives the same noise, whatever other effects are switched on, however many
     cadences follow, and wherever the expected electrons of a pixel are the same: a transit
     changes only the pixels of its star.
-
-    Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
-    ends of the bleeding column, as in real files. The errors of the flux are those of the light
-    that a pixel holds, as in real files, too.
 
     With very many stars a bar shows the progress on a terminal, from the fifth second on.
 
