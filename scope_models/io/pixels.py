@@ -451,9 +451,8 @@ def read_neighbors(path, series):
 def target_among(places, series):
     """Return the target's column and row for places on the sky; None for others or if unknown."""
     names = {name.lower() for name in getattr(places, "colnames", ("x", "y"))}
-    if isinstance(places, SkyCoord) or not {"x", "y"} <= names:
-        return target_place(series)
-    return None
+    on_sky = isinstance(places, SkyCoord) or not {"x", "y"} <= names
+    return target_place(series) if on_sky else None
 
 
 def target_place(series):

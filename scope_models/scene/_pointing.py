@@ -625,8 +625,7 @@ class K2FinalCampaign(Pointing):
     which the boresight was off target, so that nearly all stars were outside of their pixels; 7
     days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll
     fluctuated erratically", with usable parts up to cadence 168481. The roll of
-    `~scope_models.scene.motion.K2Roll` goes on in all of them. How far boresight and roll went is
-    not in the notes, and assumed here.
+    `~scope_models.scene.motion.K2Roll` goes on in all of them.
 
     Cadences are flagged as without fine pointing in the first part and after the last usable one,
     and as of coarse pointing in the first part and where boresight and erratic roll take a star

@@ -211,8 +211,7 @@ def _draw(base, faintest, mags):
 
 def _lighting(base, x, y, mags, model):
     detector, motion = base.detector, base.motion
-    ny, nx = detector.shape
-    axes = (x, motion.x, nx), (y, motion.y, ny)
+    axes = zip((x, y), (motion.x, motion.y), detector.shape[::-1], strict=True)
     reached = [(place + moved.min(), place + moved.max(), n) for place, moved, n in axes]
     away = [np.maximum(np.maximum(-0.5 - high, low - (n - 0.5)), 0) for low, high, n in reached]
     outside = np.hypot(*away)

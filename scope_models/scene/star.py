@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_array, plain_time
@@ -15,8 +16,6 @@ from scope_models.models._description import check_coord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from astropy.coordinates import SkyCoord
 
 __all__ = ["Star"]
 
@@ -69,7 +68,7 @@ class Star(Value):
     y_0: float | None = number(None, u.pix, any_sign=True)
     psf: "Model | None" = None
     signal: "Model | Callable | np.ndarray | None" = None
-    coord: "SkyCoord | None" = None
+    coord: SkyCoord | None = None
 
     def __post_init__(self):
         put = object.__setattr__
