@@ -78,6 +78,10 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     cadences follow, and wherever the expected electrons of a pixel are the same: a transit
     changes only the pixels of its star.
 
+    Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
+    ends of the bleeding column, as in real files. The errors of the flux are those of the light
+    that a pixel holds, as in real files, too.
+
     With very many stars a bar shows the progress on a terminal, from the fifth second on.
 
     Examples
