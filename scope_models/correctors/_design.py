@@ -78,9 +78,8 @@ def make_regressors(pixels, use, options):
         parts[f"order {n}"] = columns[:, :most]
         if n == 2:
             shared = center(shared_columns(images, n, _REACH), use)
-            parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)[
-                :, :most
-            ]
+            shared = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
+            parts["order 2, shared"] = shared[:, :most]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():

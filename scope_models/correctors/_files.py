@@ -1,5 +1,6 @@
 """From a target pixel file to the file of a corrected light curve."""
 
+from contextlib import suppress
 from dataclasses import fields
 
 import numpy as np
@@ -14,12 +15,7 @@ from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
-__all__ = [
-    "correct_file",
-    "detrend_file",
-    "make_archive_hdulist",
-    "make_lightcurve_hdulist",
-]
+__all__ = ["correct_file", "detrend_file", "make_archive_hdulist", "make_lightcurve_hdulist"]
 
 
 def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, **options):
@@ -112,12 +108,8 @@ def make_lightcurve_hdulist(corrector, *, survival=False):
     It has the measured flux, the systematics' masks and the result's numbers too, and the cards of
     the target pixel file that stay true; ``survival`` is that of `detrend_file`.
     """
-    return make_light_curve_hdulist(
-        corrector.tpf,
-        _columns(corrector),
-        aperture=corrector.aperture_mask,
-        cards=_cards(corrector, survival),
-    )
+    given = {"aperture": corrector.aperture_mask, "cards": _cards(corrector, survival)}
+    return make_light_curve_hdulist(corrector.tpf, _columns(corrector), **given)
 
 
 def make_archive_hdulist(corrector, path, collection, *, survival=False):
@@ -191,8 +183,7 @@ def _columns(corrector):
 
 def _cards(corrector, survival):
     """Return keyword, value and comment of what the correction found."""
-    result = corrector.result
-    cards = []
+    result, cards = corrector.result, []
     if result is not None:
         cards += [
             ("PLDORDER", sum("shared" not in g for g in result.groups if g[:5] == "order"),
@@ -208,9 +199,6 @@ def _cards(corrector, survival):
             cards.append(("PLDSURV", result.transit_survival, comment))
             cards.append(("PLDSURVE", result.transit_survival_err, "its standard deviation"))
     for name, lc in (("RAWCDPP", corrector.original_lc), ("CDPP", corrector.corrected_lc)):
-        try:
-            value = cdpp(lc)
-        except ValueError:  # too few cadences
-            continue
-        cards.append((name, value, "[ppm] 6.5-h CDPP, convention of lightkurve"))
+        with suppress(ValueError):  # too few cadences
+            cards.append((name, cdpp(lc), "[ppm] 6.5-h CDPP, convention of lightkurve"))
     return cards

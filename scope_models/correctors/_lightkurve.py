@@ -110,9 +110,8 @@ def sorted_regressors(regressors):
     Returns whether the pixels outside of the aperture are among them, target pixel files, and all
     that has a row per cadence; numbers are one column.
     """
-    several = isinstance(regressors, (list, tuple)) and not any(
-        isinstance(one, Real) for one in regressors
-    )
+    listed = isinstance(regressors, list | tuple)
+    several = listed and not any(isinstance(one, Real) for one in regressors)
     background, others, columns = False, [], []
     for one in regressors if several else [regressors]:
         if isinstance(one, str) and one == "background":
@@ -139,12 +138,9 @@ def external_columns(regressors, cadenceno):
 def _columns_of(regressor, cadenceno):
     n = len(cadenceno)
     if hasattr(regressor, "cbv_indices"):
-        vectors = [
-            plain_array(regressor[f"VECTOR_{k}"], "", "regressors") for k in regressor.cbv_indices
-        ]
-        _, here, there = np.intersect1d(
-            cadenceno, np.asarray(regressor["CADENCENO"]), return_indices=True
-        )
+        number, vectors = np.asarray(regressor["CADENCENO"]), regressor.cbv_indices
+        vectors = [plain_array(regressor[f"VECTOR_{k}"], "", "regressors") for k in vectors]
+        _, here, there = np.intersect1d(cadenceno, number, return_indices=True)
         if not len(here):
             raise ValueError("`regressors` must share cadences with the target, got none")
         columns = np.full((n, len(vectors)), np.nan)
