@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from astropy.stats import mad_std
 from scipy import ndimage
-from scipy.stats import t
+from scipy.stats import t as student_t
 
 from scope_models.correctors._regression import SLOWEST, Posterior
 
@@ -13,7 +13,8 @@ __all__ = ["short_changes", "with_edges"]
 
 #: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
-#: Tolerance: number of runs of a light curve that deviate as much by chance.
+#: Tolerance: number of runs of a light curve that deviate as much by chance; one costs no more than
+#: its cadences, from which the model does not learn.
 _CHANCE = 0.1
 #: Tolerance: largest number of searches, each for those that deviate by this part of the largest
 #: deviation: a deep transit bends the process around it.
@@ -57,7 +58,7 @@ def _runs(data, mean, hyper):
     process = hyper.process(data.time, data.variance)
     inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
     free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
-    limits = [t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
+    limits = [student_t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
     for _ in range(_ROUNDS):
         index = np.arange(n)[:, None]
         boxes = (index >= runs[:, 0]) & (index < runs[:, 1])

@@ -352,7 +352,9 @@ def _with_response(solution, steps, n_cadences):
 
     Else the motion does not tell it from the width, and the flux would be uncertain.
     """
-    other = steps(*_richer(solution), n_steps=solution.n_steps, max_steps=_MANY_STEPS)
+    guess = len(solution.problem.flux) < n_cadences
+    own = {"n_steps": solution.n_steps, "max_steps": _MANY_STEPS}
+    other = steps(*_richer(solution), **own, loosely=guess)
     powers, errors = other.problem.prf.response_powers, np.sqrt(np.diag(covariances(other).shared))
     errors = errors * np.sqrt(len(other.problem.flux) / n_cadences)
     measured = all(

@@ -15,7 +15,8 @@ CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880
 _NO_CHECKSUM = "0" * 16
 _FORMS = {"i4": "J", "f4": "E", "f8": "D"}
-_EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}  # characters that are no letters or digits
+# Characters between digits and letters, which a checksum must not have.
+_EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
 # The cards that each HDU of a kind begins with, as astropy writes them.
 _PRIMARY, _IMAGE, _TABLE = (
     [(card.keyword, card.value, card.comment) for card in hdu.header.cards]

@@ -524,7 +524,7 @@ class TestDefault:
         assert not messages
         response = () if sensitivity is None else ("ax1", "ax2", "ay1", "ay2")
         assert fit.names == ("sigma_x", "sigma_y", "rho", *response)
-        assert fit.n_steps < (30 if sensitivity is None else 35)  # of one model, of two
+        assert fit.n_steps < 30
         assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
         for name, true in {"sigma_x": 0.5, "sigma_y": 0.5, "ax2": -0.05, "ay2": -0.05}.items():
             if name in fit.names:
