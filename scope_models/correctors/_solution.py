@@ -370,7 +370,7 @@ def fit(
         plain = _without_outliers(first, make_regressors, options)
         if options.trend != "gp" or not options.max_clips:
             return plain
-        columns = short_changes(plain)
+        columns = short_changes(plain, options.sigma)
         if not columns.shape[1]:
             return plain
         other = _without_outliers(first.with_short(columns), make_regressors, options)
