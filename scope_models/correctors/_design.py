@@ -24,6 +24,7 @@ __all__ = [
     "focus_columns",
     "level_column",
     "make_regressors",
+    "misfit_columns",
     "other_columns",
     "outside_column",
 ]
@@ -39,6 +40,8 @@ _REACH = 2
 _OTHER_COMPONENTS = 10
 #: Prior: relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
+#: Prior: part of the star's variability that the flux may follow beside other stars.
+_FOLLOWED = 0.01
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,21 @@ def outside_column(clean, usable):
     column = np.full((len(usable), 1), np.nan)
     column[usable, 0] = -np.log(np.maximum(1 + clean.outside, 0.1))
     return column
+
+
+def misfit_columns(clean, share, usable):
+    """Return what pixels show beyond their predicted fractions, and the background beyond its own.
+
+    Where the star's ``share`` of the light, ``(n_pixels,)``, is known to differ from pixel to
+    pixel, the fractions follow a star that dims, by the difference of its image and that of all
+    light. Coefficients of about one make the flux follow it by this part. Units are such that it
+    is no more than one percent.
+    """
+    image = clean.still.mean(axis=0)
+    change = image * share / (image @ share) - image
+    columns = np.full((len(usable), len(image) + 1), np.nan)
+    columns[usable] = np.column_stack([clean.misfit, clean.level])
+    return columns * _FOLLOWED / np.hypot(_FOLLOWED, np.linalg.norm(change))
 
 
 def background_columns(pixels, n_components, mask, use):

@@ -70,6 +70,11 @@ class Source:
             return image, plane, np.ones(image.shape)
         return image, plane, _blended_share(still, pixels.core)
 
+    @property
+    def share(self):
+        """The star's share of the light in each pixel."""
+        return self._image[2]
+
     @cached_property
     def other_light(self):
         """Part of the aperture's light that is other stars', as the typical image shows it."""

@@ -1,7 +1,7 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from astropy import units as u
@@ -15,6 +15,7 @@ from scope_models.correctors._design import (
     focus_columns,
     level_column,
     make_regressors,
+    misfit_columns,
     other_columns,
     outside_column,
 )
@@ -23,7 +24,7 @@ from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import DECISIVE, fit
+from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._star import StarModel
 
@@ -31,7 +32,7 @@ __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
-_FRACTIONS = ("auto", "predicted", "changing", "measured")
+_FRACTIONS = ("predicted", "measured")
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
 
@@ -111,7 +112,7 @@ class Settings(PLDOptions):
     """All options of a correction, as `PLDCorrector.correct` describes them."""
 
     order: int = integer(2, 1)
-    fractions: str = "auto"
+    fractions: str = "predicted"
     regressors: object = ()
 
     def __post_init__(self):
@@ -169,11 +170,10 @@ class PLDModel:
     source: Source | None = None
 
     @classmethod
-    def from_pixels(cls, pixels, options, series, cadence_mask=None, *, state=None):
+    def from_pixels(cls, pixels, options, series, cadence_mask=None):
         """Make the model of pixels of a `PixelSeries`.
 
-        Images and components are learned from the cadences of ``cadence_mask``, by default all;
-        models of the same pixels may share a dictionary ``state``, in which images are kept.
+        Images and components are learned from the cadences of ``cadence_mask``, by default all.
         """
         extra, source = {}, Source(pixels, series, cadence_mask)
         use = pixels.usable & pixels.lit
@@ -202,13 +202,12 @@ class PLDModel:
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
-            changing = options.fractions == "changing"
-            predicted, clean = with_predicted_fractions(
-                pixels, series.pos_corr, use, saturation, changing=changing, state=state
-            )
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, saturation)
             if clean:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
+                share = source.share[*clean.grid.T[::-1]]
+                extra["misfit"] = misfit_columns(clean, share, pixels.usable)
                 pixels, saturation = predicted, None
         if clean is None:
             if "background" not in extra:
@@ -239,13 +238,12 @@ class PLDModel:
         columns[usable] = found.columns
         return Regressors(columns, found.groups, found.names)
 
-    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None, like=None):
+    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
         """Fit the model to cadences that may be used and are not in transit; return a `PLDFit`.
 
-        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. Of ``like``, a
-        fit of a model with the same regressors, cadences, frequencies and time scales are taken
-        over. A ValueError is raised if no regressor varies, fewer than 30 cadences are left, or the
-        covariance is singular.
+        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. A ValueError is
+        raised if no regressor varies, fewer than 30 cadences are left, or the covariance is
+        singular.
         """
         pixels, n = self.pixels, len(self.pixels.time)
         usable = pixels.usable
@@ -270,7 +268,6 @@ class PLDModel:
                 column[usable],
                 self.options,
                 predicted=self.clean is not None,
-                like=like and like.solution,
             )
         except np.linalg.LinAlgError as error:
             raise ValueError(
@@ -289,68 +286,8 @@ class PLDModel:
         return PLDFit(self, solution, mask & ~in_transit, in_transit, transit_model)
 
 
-def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
-    """Fit pixels, with the fractions that the data support; return a `PLDFit`.
-
-    With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
-    predict unseen windows decisively better. Where they leave decisively more noise than FLUX_ERR
-    may lack, they are wrong, and measured ones are taken if they predict these better, unless they
-    may follow the star by more than the noise of 6.5 h, with the light beside it that may be left.
-    Where a walk, which may be the star's, explains that noise, they must be decisively better.
-    ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
-    """
-    state = {}
-
-    def model_with(options):
-        return PLDModel.from_pixels(pixels, options, series, cadence_mask, state=state)
-
-    fitted = model_with(options).fit(cadence_mask, **transit)
-    if options.fractions != "auto" or fitted.model.clean is None:
-        return fitted
-    with warnings.catch_warnings():  # of models that may not be taken
-        warnings.simplefilter("ignore", DetrendingWarning)
-        try:
-            other = model_with(replace(options, fractions="changing"))
-            trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
-            if trial and _gain(trial, fitted) > DECISIVE:
-                fitted = other.fit(cadence_mask, **transit)
-            wrong, walk = fitted.solution.noise_is_outlier, fitted.solution.hyper.walk
-            if _may_follow(fitted) or not (wrong or walk):
-                return fitted
-            other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
-            return other if _gain(other, fitted) > (0 if wrong else DECISIVE) else fitted
-        except ValueError:  # they cannot be fitted
-            return fitted
-
-
-def _may_follow(fitted):
-    """Whether measured fractions may follow the star by more than the noise of 6.5 h.
-
-    Outliers are no variability of the star, but its dips are.
-    """
-    solution = fitted.solution
-    star = (fitted.used | fitted.dips)[fitted.model.pixels.usable]
-    change = fitted.contrast_error * np.std((solution.y - solution.systematics)[star])
-    return bool(change**2 > np.median(solution.variance) / fitted.window)
-
-
 def _check_enough(use):
     if use.sum() < _FEWEST_CADENCES:
         raise ValueError(
             f"at least {_FEWEST_CADENCES} usable cadences of `tpf` are needed, got {use.sum()}"
         )
-
-
-def _gain(fitted, simpler):
-    """Return by how much a fit predicts windows better than a simpler one: logarithm of the odds.
-
-    These are of the means of at least ten windows of 6.5 h or less, which all other cadences
-    predict, without the tenth that is least likely by either. Cadences that both leave out, as
-    those of a deep eclipse, are in no window.
-    """
-    cadences = fitted.model.pixels.usable & simpler.model.pixels.usable
-    cadences &= fitted.used | simpler.used
-    window = min(simpler.window, cadences.sum() // 10)
-    seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
-    ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
-    return np.sum((ours - other)[np.argsort(np.minimum(ours, other))[len(ours) // 10 :]])

@@ -434,13 +434,13 @@ def can_predict(pixels, saturation, use):
     return not moving and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None, **options):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None):
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
-    Images are learned from the cadences of ``cadence_mask``, by default all; ``options`` are
-    others of `fit_star`. The ``total`` of the returned pixels is the light without background,
-    their ``flux`` the predicted fractions at constant focus times this. Second comes the
-    `StarModel`; None, with the pixels as they were, if it is singular or not one of light.
+    Images are learned from the cadences of ``cadence_mask``, by default all. The ``total`` of the
+    returned pixels is the light without background, their ``flux`` the predicted fractions at
+    constant focus times this. Second comes the `StarModel`; None, with the pixels as they were, if
+    it is singular or not one of light.
     """
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
@@ -473,7 +473,6 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
                 use=pixels.quiet(learned)[use],
                 banded=pixels.banded[use],
                 full=full[columns],
-                **options,
             )
     except np.linalg.LinAlgError:
         clean = None

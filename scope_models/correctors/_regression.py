@@ -16,7 +16,6 @@ __all__ = [
     "Data",
     "Hyperparameters",
     "Posterior",
-    "fit_columns",
     "fit_hyperparameters",
     "log_likelihood",
 ]
@@ -42,6 +41,8 @@ _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
 #: Tolerance: the largest variance of a group's part of the model, in units of the data's. More is
 #: not needed, and less well conditioned.
 _LARGEST = 1e3
+#: Tolerance: least factor of the white noise's variance.
+_LEAST_NOISE = 1e-4
 _value = attrgetter("value")
 
 
@@ -57,8 +58,7 @@ class Data:
     n_flat: int  # columns with flat priors, whose largest elements are 1
     expected: np.ndarray | None = None  # prior variance of each group, NaN for none
     most: np.ndarray | None = None  # largest prior variance of each group, with ``expected``
-    least_noise: float = 1e-4  # least factor of the white noise's variance
-    noise_error: float = np.inf  # standard deviation of its logarithm
+    noise_error: float = np.inf  # standard deviation of the logarithm of the white noise's factor
 
     @property
     def n_groups(self):
@@ -288,7 +288,7 @@ def _fit_scales(trial):
         return value + unlikely, slope + rise
 
     unit = np.log(data.spread / data.sizes)
-    least = np.log(data.least_noise / hyper.noise_scale)
+    least = np.log(_LEAST_NOISE / hyper.noise_scale)
     bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
     return trial.changed(np.array(variances), factor)
@@ -346,17 +346,12 @@ def _fit_process(trial):
 
     size = tuple(np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread]))
     period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
-    bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), size, period, size]
+    bounds = [(np.log(_LEAST_NOISE), 16.0), (-8.0, 8.0), size, period, size]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
     n = len(start) if hyper.walk else len(start) - 1
     scale, variance, *process = _minimize(objective, start[:n], bounds[:n], len(data.y))
     best = Hyperparameters(scale, hyper.variances * variance, *process)
     return _Trial.at(whole, best)
-
-
-def fit_columns(data, hyper):
-    """Maximize over the columns' variances and a factor of the noise and the process alike."""
-    return _fit_scales(_Trial.at(data, hyper)).hyper
 
 
 def fit_hyperparameters(data, start=None, *, trend=True):
@@ -369,7 +364,8 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
-        return fit_columns(data, fit_hyperparameters(data.averaged(width), start, trend=trend))
+        hyper = fit_hyperparameters(data.averaged(width), start, trend=trend)
+        return _fit_scales(_Trial.at(data, hyper)).hyper
     best = _best_start(data, trend) if start is None else _Trial.at(data, start)
     for k in range(_ROUNDS):
         value = best.value

@@ -125,7 +125,7 @@ class PLDFit:
 
     @property
     def noise_scale(self):
-        """Fitted variance of the white noise over FLUX_ERR squared."""
+        """Fitted variance of the white noise over FLUX_ERR squared, that of the sum."""
         return self.solution.hyper.noise_scale
 
     @property
@@ -401,9 +401,7 @@ class PLDFit:
 
     @property
     def _fractions(self):
-        if self.model.clean is None:
-            return "measured"
-        return "changing" if self.model.options.fractions == "changing" else "predicted"
+        return "measured" if self.model.clean is None else "predicted"
 
     @property
     def contamination(self):

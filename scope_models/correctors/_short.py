@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from astropy.stats import mad_std
 from scipy import ndimage
+from scipy.stats import t as student_t
 
 from scope_models.correctors._regression import SLOWEST, Posterior
 
@@ -12,26 +13,30 @@ __all__ = ["short_changes", "with_edges"]
 
 #: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
+#: Tolerance: number of runs of a light curve that deviate as much by chance.
+_CHANCE = 0.1
 #: Tolerance: largest number of searches, each for those that deviate by this part of the largest
 #: deviation: a deep transit bends the process around it.
 _ROUNDS, _PART = 20, 0.5
 
 
-def short_changes(solution, sigma):
-    """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates by sigma.
+def short_changes(solution):
+    """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates.
 
     What all other cadences predict has regressors and a slow process, which follows no transit. The
-    unit is the typical deviation of runs of the same length.
+    unit is the typical deviation of runs of the same length, of which there are few long ones: by
+    chance, deviations follow Student's t.
     """
     time, used = solution.time, solution.data.time
     width = _width(used)
     if len(used) < 2 * width * _RUNS[-1]:
         return np.empty((len(time), 0))
-    runs = _runs(solution.data.averaged(width), solution.posterior.mean, solution.hyper, sigma)
+    runs = _runs(solution.data.averaged(width), solution.posterior.mean, solution.hyper)
     begins, ends = used[width * runs[:, 0]], used[width * runs[:, 1] - 1]
     columns = ((time[:, None] >= begins) & (time[:, None] <= ends)).astype(float)
-    # half of the cadences remain
-    return columns[:, : 0 if with_edges(time, columns.any(axis=1)).mean() > 0.5 else None]
+    # half of the cadences in use remain
+    lost = with_edges(time, columns.any(axis=1))[solution.use]
+    return columns[:, : 0 if lost.mean() > 0.5 else None]
 
 
 def with_edges(time, short):
@@ -44,7 +49,7 @@ def _width(time):
     return max(round(_MEAN / float(np.median(np.diff(time)))), 1)
 
 
-def _runs(data, mean, hyper, sigma):
+def _runs(data, mean, hyper):
     """Return the first means of runs that deviate, and those after the last, ``(n_runs, 2)``."""
     n, rest = len(data.y), data.y - data.columns @ mean
     amplitude = min(hyper.amplitude, max(mad_std(rest) ** 2, np.median(data.variance)))
@@ -52,6 +57,7 @@ def _runs(data, mean, hyper, sigma):
     process = hyper.process(data.time, data.variance)
     inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
     free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
+    limits = [student_t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
     for _ in range(_ROUNDS):
         index = np.arange(n)[:, None]
         boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
@@ -61,12 +67,12 @@ def _runs(data, mean, hyper, sigma):
         solved[:, -1] -= solved[:, :-1] @ posterior.mean
         sums = np.cumsum(np.pad(solved, ((1, 0), (0, 0))), axis=0)
         deviating, new = [], []
-        for k, precision in zip(_RUNS, inverse, strict=True):
+        for k, precision, limit in zip(_RUNS, inverse, limits, strict=True):
             run = sums[k:] - sums[:-k]
             explained = np.einsum("ij,ij->i", run[:, :-1] @ posterior.covariance, run[:, :-1])
             size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
             size /= 1.4826 * np.median(size)
-            deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > sigma)]
+            deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > limit)]
         least = _PART * max(deviating, default=(0.0,))[0]
         for size, *run in sorted(deviating, reverse=True):
             if size > least and free[slice(*run)].all():

@@ -11,15 +11,14 @@ from scope_models.correctors._regression import (
     Data,
     Hyperparameters,
     Posterior,
-    fit_columns,
     fit_hyperparameters,
 )
 from scope_models.correctors._short import short_changes, with_edges
 
-__all__ = ["DECISIVE", "NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
+__all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 
 #: Branch: logarithm of the odds that are decisive on Jeffreys' scale.
-DECISIVE = np.log(100)
+_DECISIVE = np.log(100)
 #: Tolerance: factor of the variance of cadences that have next to no weight.
 _NO_WEIGHT = 1e6
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
@@ -33,7 +32,8 @@ _FAST = 1.0
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
 #: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
-#: light at the aperture's edge. The data may change each by a factor of a few.
+#: light at the aperture's edge; a part of what each pixel shows beyond them. The data may change
+#: each by a factor of a few.
 _EXPECTED = {
     "order 1": 0.012,
     "order 2": 0.02,
@@ -41,6 +41,7 @@ _EXPECTED = {
     "segments": 1e-4,
     "focus": 1e-5,
     "aperture": 1.0,
+    "misfit": 1.0,
 }
 #: Prior: ... of measured ones.
 _MEASURED = {"level": 1.0}
@@ -48,7 +49,7 @@ _MEASURED = {"level": 1.0}
 #: response; within pixels a width that changes by 1 % changes the response by 5e-4 at most. What
 #: seems to be a focus may be a dimming of the star beside constant light. So may a level of the
 #: background, which counts once.
-_MOST = {"focus": 1e-4, "level": 1.0}
+_MOST = {"focus": 1e-4, "level": 1.0, "misfit": 1.0}
 
 
 class NothingToCorrectError(ValueError):
@@ -71,7 +72,7 @@ class Solution:
     n_trend: int = 1  # flat columns that are constant and variability
     frequencies: tuple = ()  # of the last columns of the variability, a cosine and a sine each, 1/d
     n_short: int = 0  # the next flat columns are short changes
-    predicted: bool = False  # whether the fractions hold no noise of the flux
+    predicted: bool = False  # whether the fractions are
 
     @cached_property
     def columns(self):
@@ -96,17 +97,15 @@ class Solution:
         expected = [known.get(name, np.nan) for name in self.regressors.names]
         most = [_MOST.get(name, 1e9) for name in self.regressors.names]
         found = {"expected": np.square(expected), "most": np.square(most)}
-        if self.predicted:
-            found["least_noise"] = 1.0
-            if self.hyper and self.hyper.walk:  # which noise resembles
-                found["noise_error"] = NOISE_ERROR
+        if self.predicted and self.hyper and self.hyper.walk:  # which noise resembles
+            found["noise_error"] = NOISE_ERROR
         return found
 
     @property
     def noise_is_outlier(self):
         """Whether there is decisively more white noise than FLUX_ERR may lack."""
         excess = np.log(self.hyper.noise_scale) / NOISE_ERROR
-        return excess > np.sqrt(2 * DECISIVE)
+        return excess > np.sqrt(2 * _DECISIVE)
 
     @cached_property
     def process(self):
@@ -340,22 +339,13 @@ class Solution:
         return np.bincount(self.regressors.groups, used)
 
 
-def fit(
-    make_regressors, time, y, variance, use, flat_columns, options, *, predicted=False, like=None
-):
+def fit(make_regressors, time, y, variance, use, flat_columns, options, *, predicted=False):
     """Fit, and leave out outliers until there are none.
 
     If the star has frequencies, the fit is made again with columns for them, and the more likely
     one is returned. ``make_regressors`` takes the mask of cadences in use, ``use`` are those that
-    may be; ``flat_columns``, ``(n, m)``, hold a transit or none. Of a solution ``like`` that is
-    sought with the same regressors, all but the variances are taken over.
+    may be; ``flat_columns``, ``(n, m)``, hold a transit or none.
     """
-    if like is not None and len(like.y) == len(y):
-        regressors = make_regressors(like.use)
-        if regressors.names == like.regressors.names:
-            y = y - y[like.use].mean()
-            same = replace(like, y=y, variance=variance, regressors=regressors, predicted=predicted)
-            return replace(same, hyper=fit_columns(same.data, like.hyper))
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
         raise NothingToCorrectError("the pixel fractions do not vary")
@@ -370,7 +360,7 @@ def fit(
         plain = _without_outliers(first, make_regressors, options)
         if options.trend != "gp" or not options.max_clips:
             return plain
-        columns = short_changes(plain, options.sigma)
+        columns = short_changes(plain)
         if not columns.shape[1]:
             return plain
         other = _without_outliers(first.with_short(columns), make_regressors, options)

@@ -193,7 +193,7 @@ def _corrected(name, tpf, pld, aperture_mask, options):
     if name == "lightkurve":
         return _lightkurve(tpf, pld.aperture_mask, options)
     found = pld if name == "pld" else PLDCorrector(tpf, aperture_mask)
-    fractions = "auto" if name == "pld" else "measured"
+    fractions = "predicted" if name == "pld" else "measured"
     return found, found.correct(fractions=fractions, **options)
 
 

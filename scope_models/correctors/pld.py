@@ -14,7 +14,7 @@ from scope_models.correctors._lightkurve import (
     to_collection,
     translated,
 )
-from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
+from scope_models.correctors._model import PLDModel, PLDOptions, Settings
 from scope_models.correctors._neighbors import (
     given_neighbors,
     light_of_neighbors,
@@ -149,7 +149,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         *,
         transit_mask=None,
         transit_model=None,
-        fractions="auto",
+        fractions="predicted",
         regressors=(),
         positions=None,
         restore_trend=True,
@@ -173,14 +173,10 @@ class PLDCorrector(LightkurveNames, Corrector):
             returns it for times in days, as an astropy model does. Its
             amplitude is fitted jointly, so that the correction leaves
             unmasked transits alone; see `PLDFit.transit_scale`.
-        fractions : {"auto", "predicted", "changing", "measured"}, optional
+        fractions : {"predicted", "measured"}, optional
             Pixel fractions as a model of the star, its motion, focus and background predicts them,
-            also with images that change slowly and a background that fluctuates, or as they are
-            measured. Measured fractions follow the star where other light is in the aperture. By
-            default predicted ones, and those of changing images if they predict unseen windows
-            decisively better; measured ones if they do so at all (decisively, where the noise may
-            be a walk of the star), the others leave decisively more noise than FLUX_ERR may lack,
-            and other light cannot make them follow the star by more than the noise of 6.5 h.
+            with what the pixels show beyond it as further regressors, or as they are measured.
+            Measured fractions follow the star where other light is in the aperture.
             ``pld_aperture_mask``, background as a regressor, fewer than 200 cadences or 4 pixels,
             and a moving aperture over full pixels allow measured ones only.
         regressors : object or list, optional
@@ -238,14 +234,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         with one_thread, solvable():
             try:
                 pixels, series = self._alone(pixels, series, settings, mask)
-                result = fit_pixels(
-                    pixels,
-                    settings,
-                    series,
-                    mask,
-                    transit_mask=in_transit,
-                    transit_model=transit_model,
-                )
+                model = PLDModel.from_pixels(pixels, settings, series, mask)
+                result = model.fit(mask, transit_mask=in_transit, transit_model=transit_model)
             except NothingToCorrectError:
                 message = "the pixel fractions do not vary: the light curve is left as it is"
                 warnings.warn(message, DetrendingWarning, stacklevel=2)

@@ -50,7 +50,6 @@ class Stamp:
     planes: np.ndarray  # level, slopes and waves of the background, (n_pixels, k)
     base: np.ndarray  # typical background in these, (k,)
     waves: np.ndarray  # standard deviation of the waves in each cadence, (n,)
-    dark: np.ndarray  # indices of dark pixels
     center: np.ndarray  # typical column and row of the star
     expected: np.ndarray  # position relative to the center as POS_CORR has it, px, (n, 2)
     known: np.ndarray  # cadences with POS_CORR, (n,)
@@ -81,9 +80,9 @@ class States:
     focus: np.ndarray  # relative change of the PSF's width, (n,)
     variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
     plane: np.ndarray  # coefficients of the background, (n, k)
+    level: np.ndarray  # what its level has beyond them, (n,)
     variance: np.ndarray  # of each pixel about the model, (n_pixels,)
     good: np.ndarray  # pixels without cosmic rays, (n, n_pixels)
-    fluctuation: float = 0.0  # variance of the background from cadence to cadence
 
 
 def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None, full=None):
@@ -128,14 +127,14 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     grid = np.where(columns.single[:, None], grid, [1, 0] * grid + [0, 1] * center)
     scale = _most_light(own[use], 3 * np.sqrt(noise), grid - center - expected[use, None])
     stamp = Stamp(
-        time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves, dark,
+        time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves,
         center, expected, known, scale,
         Features(expected[use], _SCALE, _TOLERANCE, _MAX_RANK),
         Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK),
         flow, smoothed, columns, terms,
     )  # fmt: skip
     zero, good = np.zeros(n), np.ones(light.shape, dtype=bool)
-    return stamp, States(total / unit, expected, zero, zero, plane, noise, good)
+    return stamp, States(total / unit, expected, zero, zero, plane, zero, noise, good)
 
 
 def _planes(change, terms):

