@@ -440,7 +440,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     Images are learned from the cadences of ``cadence_mask``, by default all. The ``total`` of the
     returned pixels is the light without background, their ``flux`` the predicted fractions at
     constant focus times this. Second comes the `StarModel`; None, with the pixels as they were, if
-    it is singular or not one of light.
+    it is singular or not one of light, or if there are too few cadences.
     """
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
@@ -477,7 +477,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     except np.linalg.LinAlgError:
         clean = None
     if clean is None or not np.abs(clean.shares[learned[use]]).max() <= _LARGEST_SHARE:
-        _warn("the model of the pixels fails: measured fractions are taken")
+        _warn(
+            "the model of the pixels fails, or the star has too many places for so few cadences: "
+            "measured fractions are taken"
+        )
         return pixels, None
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:

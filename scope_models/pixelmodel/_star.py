@@ -41,6 +41,9 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
+#: Branch: fewer cadences for each function of position show no images: a state that differs from
+#: cadence to cadence, as the seeing, would be in them.
+_CADENCES_PER_FUNCTION = 3
 #: Branch: time in days, and standard deviation of changes of the star within it above which
 #: constant light can be learned.
 _FAST, _STRONG = 0.25, 0.02
@@ -138,18 +141,19 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
 
     Returns
     -------
-    StarModel
-        The result.
+    StarModel or None
+        The result; None if the star has more places than so few cadences can show images of.
     """
-    stamp, states, shape = _converged(
-        *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
-    )
+    stamp, states = make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
+    if stamp.use.sum() < _CADENCES_PER_FUNCTION * stamp.functions(states.position)[1].shape[1]:
+        return None
+    states, shape = _converged(stamp, states)
     images = _images(stamp, states, shape, stamp.functions(states.position))
     return _result(stamp, states, images, flux_err, shape.error)
 
 
 def _converged(stamp, states):
-    """Fit images and cadences by turns; return the stamp and both.
+    """Fit images and cadences by turns; return both.
 
     If no light is seen that is constant beside a star that varies strongly, there is none.
     """
@@ -159,7 +163,7 @@ def _converged(stamp, states):
         if not _constant_light(stamp, images, shape.error):
             states = replace(states, variable=np.zeros_like(states.variable))
             states, shape = _by_turns(stamp, states, shape, alone=True)
-    return stamp, states, shape
+    return states, shape
 
 
 def _by_turns(stamp, states, shape, *, alone=False):

@@ -54,14 +54,15 @@ def test_predicted_fractions_hold_no_noise(star):
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
-@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("seed", [6, 7])
 def test_seeing_of_the_ground(seed):
-    """The width is another one in each exposure, and the first star drifts by 5 px."""
+    """The width is another one in each exposure, and the second star drifts by 8 px."""
     detector = Detector.ground(shape=(17, 17), effects=(Seeing(),))
     motion = Motion.ground(240, seed=seed)
     corrector = PLDCorrector(simulate(Star(14.5, 8, 8), detector, motion, seed=seed).to_tpf())
     lc = corrector.correct()
     good = ~corrector.outlier_mask
+    assert corrector.model.clean is None  # 240 cadences show no images of 100 places
     assert good.sum() >= 237
     flux, error = lc.flux.value[good], lc.flux_err.value[good]
     assert np.std(flux) < 1.2 * np.median(error)
