@@ -78,6 +78,7 @@ class StarModel:
     constant: float  # part of the light that does not vary with the star, at least
     misfit: np.ndarray  # what pixels show beyond the model, over the light, 0 outside (n, n_pixels)
     level: np.ndarray  # what the background has beyond its smooth course, over the light, (n,)
+    weighted: np.ndarray  # what weights of least squares add to the light, over the light, (n,)
     repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
     slopes: np.ndarray  # mean change of the fractions with column, row and width, (3, n_pixels)
     grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
@@ -511,6 +512,8 @@ def _result(stamp, states, images, flux_err, image_error):
     light = states.brightness + more
     level = states.level * stamp.planes[inside, 0].sum()
     whole = np.where(inside, images.whole, 0.0)
+    rest -= more[:, None] * whole
+    weights = whole / states.variance
     variance = stamp.columns.summed(flux_err**2)[:, inside].sum(axis=1)
     return StarModel(
         light=stamp.unit * light * kept,
@@ -522,8 +525,9 @@ def _result(stamp, states, images, flux_err, image_error):
         position=states.position,
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
-        misfit=drawn((rest - more[:, None] * whole) / light[:, None], mean),
+        misfit=drawn(rest / light[:, None], mean),
         level=level / light,
+        weighted=np.sum(weights * rest, axis=1) / np.sum(weights * whole, axis=1) / light,
         repaired=drawn(~states.good, mean) > 0,
         slopes=drawn(np.where(inside, slopes, 0.0), mean),
         grid=stamp.columns.grid,

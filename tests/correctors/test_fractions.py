@@ -174,6 +174,17 @@ def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     assert spread < 0.6 * np.nanmedian(raw.flux_err.value / raw.flux.value)  # 0.47
 
 
+def test_the_weights_of_a_faint_star_follow_its_motion():
+    """The sum over all pixels that it crosses has twice the noise of those that it is in."""
+    observation = simulate(
+        Star(15.5), Detector.k2(shape=(17, 17)), 10 * Motion.k2_roll(1000, seed=1)
+    )
+    corrector = PLDCorrector(observation.to_tpf())
+    lc, raw = corrector.correct(), corrector.original_lc
+    spread = 1.05 * np.nanmedian(np.abs(np.diff(lc.flux.value / np.nanmedian(lc.flux.value))))
+    assert spread < 0.75 * np.nanmedian(raw.flux_err.value / raw.flux.value)
+
+
 def test_a_background_that_fluctuates():
     """From cadence to cadence, alike in all pixels, as in K2's files."""
     hdus = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf().hdu
