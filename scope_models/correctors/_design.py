@@ -17,6 +17,7 @@ from scope_models.correctors._saturation import find_row_centers, without_satura
 from scope_models.io import read_pixels
 from scope_models.pixelmodel._columns import full_columns
 from scope_models.pixelmodel._smoothing import Smoother, quantile
+from scope_models.pixelmodel._star import IMAGE_ERROR
 
 __all__ = [
     "DesignOptions",
@@ -40,8 +41,6 @@ _REACH = 2
 _OTHER_COMPONENTS = 10
 #: Prior: relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
-#: Prior: part of the star's variability that the flux may follow beside other stars.
-_FOLLOWED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -130,18 +129,16 @@ def outside_column(clean, usable):
 def misfit_columns(clean, share, usable):
     """Return what pixels show beyond their predicted fractions, and the background beyond its own.
 
-    Second comes what weights of least squares, which follow a star that moves, make of it. Where
-    the star's ``share`` of the light, ``(n_pixels,)``, is known to differ from pixel to pixel, the
-    fractions follow a star that dims, by the difference of its image and that of all light.
-    Coefficients of about one make the flux follow it by this part. Units are such that it is no
-    more than a thousandth.
+    The last is what weights of least squares, which follow a star that moves, make of it. Where the
+    star's ``share`` of the light, ``(n_pixels,)``, is known to differ from pixel to pixel, the
+    fractions follow a star that dims, by the difference of its image and that of all light, and
+    with coefficients of about one the flux does. Units make this no more than an image's error.
     """
     image = clean.still.mean(axis=0)
-    change = image * share / (image @ share) - image
+    change = np.linalg.norm(image * share / (image @ share) - image)
     columns = np.full((len(usable), len(image) + 2), np.nan)
     columns[usable] = np.column_stack([clean.misfit, clean.level, clean.weighted])
-    columns *= _FOLLOWED / np.hypot(_FOLLOWED, np.linalg.norm(change))
-    return columns[:, :-1], columns[:, -1:]
+    return columns * IMAGE_ERROR / np.hypot(IMAGE_ERROR, change)
 
 
 def background_columns(pixels, n_components, mask, use):

@@ -207,8 +207,7 @@ class PLDModel:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
                 share = source.share[*clean.grid.T[::-1]]
-                parts = misfit_columns(clean, share, pixels.usable)
-                extra["misfit"], extra["weights"] = parts
+                extra["misfit"] = misfit_columns(clean, share, pixels.usable)
                 pixels, saturation = predicted, None
         if clean is None:
             if "background" not in extra:

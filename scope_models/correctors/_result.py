@@ -704,8 +704,9 @@ class PLDFit:
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("fractions", self._fractions),
-            ("light of neighbors taken off", f"{100 * self.contamination:.1f} %"),
         ]
+        if self.contamination > 0:
+            rows.append(("light of neighbors taken off", f"{100 * self.contamination:.1f} %"))
         if self.crowding < 1:
             rows.append(("of other stars", f"{100 * (1 - self.crowding):.1f} %"))
         if np.isfinite(self.trend_sigma):

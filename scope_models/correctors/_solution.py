@@ -32,9 +32,8 @@ _FAST = 1.0
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
 #: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
-#: light at the aperture's edge; a part of what each pixel shows beyond them; none of the weights of
-#: least squares for a bright star, all for a faint one. The data may change each by a factor of a
-#: few.
+#: light at the aperture's edge; what each pixel shows beyond them counts in a weighted sum, or not.
+#: The data may change each by a factor of a few.
 _EXPECTED = {
     "order 1": 0.012,
     "order 2": 0.02,
@@ -43,15 +42,14 @@ _EXPECTED = {
     "focus": 1e-5,
     "aperture": 1.0,
     "misfit": 1.0,
-    "weights": 0.1,
 }
 #: Prior: ... of measured ones.
 _MEASURED = {"level": 1.0}
 #: Prior: those of the focus have a limit. The fractions hold what it does to pixels of different
 #: response; within pixels a width that changes by 1 % changes the response by 5e-4 at most. What
 #: seems to be a focus may be a dimming of the star beside constant light. So may a level of the
-#: background, which counts once.
-_MOST = {"focus": 1e-4, "level": 1.0, "misfit": 1.0, "weights": 1.0}
+#: background or the misfit of a pixel, which count once.
+_MOST = {"focus": 1e-4, "level": 1.0, "misfit": 1.0}
 
 
 class NothingToCorrectError(ValueError):

@@ -13,7 +13,7 @@ cadence, and smooth functions of position G, W, Q and N of each pixel. Over the 
 to 1, the others to nothing. N is the difference between the constant light and the star's in the
 image; it counts only where the star itself varies strongly (v). The variance of N is the most
 likely one (MacKay 1992, Neural Computation, 4, 415). Images and cadences are fitted in turn. The
-light is the sum over the aperture; what this model misses in each pixel tells by how much it errs.
+light is the sum over the aperture; what this model misses in each pixel shows how it errs.
 """
 
 from dataclasses import dataclass, replace
@@ -41,9 +41,9 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
-#: Branch: fewer cadences for each function of position show no images: a state that differs from
-#: cadence to cadence, as the seeing, would be in them.
-_CADENCES_PER_FUNCTION = 3
+#: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
+#: than all others: what is different in each, as the seeing, would be in them.
+_MOST_OWN = 0.5
 #: Branch: time in days, and standard deviation of changes of the star within it above which
 #: constant light can be learned.
 _FAST, _STRONG = 0.25, 0.02
@@ -146,7 +146,8 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
         The result; None if the star has more places than so few cadences can show images of.
     """
     stamp, states = make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
-    if stamp.use.sum() < _CADENCES_PER_FUNCTION * stamp.functions(states.position)[1].shape[1]:
+    _, basis, coarse = stamp.functions(states.position)
+    if basis.shape[1] + 2 * coarse.shape[1] > _MOST_OWN * stamp.use.sum():
         return None
     states, shape = _converged(stamp, states)
     images = _images(stamp, states, shape, stamp.functions(states.position))
@@ -341,10 +342,10 @@ def _fit_states(stamp, states, shape, functions, *, alone=False):
     brightness += shift[0]
     position += shift[1:3].T
     plane += shift[4:].T
-    plane, more = _background(stamp, plane, error[4:].T, late=late)
+    plane, level = _background(stamp, plane, error[4:].T, late=late)
     states = replace(
         states, brightness=brightness, position=position, focus=focus, variable=variable,
-        plane=plane, level=more,
+        plane=plane, level=level,
     )  # fmt: skip
     return states, error[:4], shape
 
@@ -352,13 +353,16 @@ def _fit_states(stamp, states, shape, functions, *, alone=False):
 def _without_hits(stamp, states, images, rest, doubt):
     """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
 
-    Cadences that are not in use tell nothing about those that are.
+    Cadences that are not in use have no influence on those that are.
     """
+
+    def beside(hot):
+        seen = np.pad(hot, ((1, 1), (0, 0)))
+        return seen[:-2] | seen[2:]
+
     hot = rest > CLIP * np.sqrt(states.variance + doubt) + _MISFIT * np.abs(images.whole)
-    every = np.pad(hot, ((1, 1), (0, 0)))
-    told = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
-    beside = (seen[:-2] | seen[2:] for seen in (told, every))
-    return ~hot | np.where(stamp.use[:, None], *beside)
+    use = stamp.use[:, None]
+    return ~hot | np.where(use, beside(hot & use), beside(hot))
 
 
 def _normal_equations(stamp, states, images, rest):
@@ -389,21 +393,20 @@ def _normal_equations(stamp, states, images, rest):
 
 
 def _background(stamp, plane, errors, *, late):
-    """Return the smoothed background, in which jumps and bands stay, and what more its level has.
+    """Return the smoothed background, in which jumps and bands stay, and what more its level had.
 
-    That is 0 at first.
+    It is smooth from the second step on.
     """
-    plane, more = plane - quantile(plane[stamp.use].T) + stamp.base, np.zeros(len(plane))
+    plane = plane - quantile(plane[stamp.use].T) + stamp.base
+    level = plane[:, 0].copy()
     if late:
         for k, (values, error) in enumerate(zip(plane.T[:3], errors.T[:3], strict=True)):
             smooth = stamp.smoothed(values, error, f"background {k}")[0]
             rest = np.abs(values - smooth)
             typical = 1.4826 * quantile(rest[stamp.use])
             jumps = rest > CLIP * np.maximum(error, typical)
-            smooth = np.where(jumps | stamp.banded, values, smooth)
-            more = values - smooth if k == 0 else more
-            values[:] = smooth
-    return plane, more
+            values[:] = np.where(jumps | stamp.banded, values, smooth)
+    return plane, level - plane[:, 0]
 
 
 def _variable(stamp, columns, brightness):

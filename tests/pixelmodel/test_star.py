@@ -301,7 +301,7 @@ def test_correlated_errors_do_not_make_a_width_follow_the_position():
         assert least <= abs(slope) <= most
 
 
-def test_what_the_images_miss_is_told():
+def test_what_the_images_miss_is_the_misfit():
     """Light goes back and forth between pixels of the aperture, much more than noise does."""
     x, y, measured = motion()
     moved = 0.02 * np.sin(2 * np.pi * TIME / 1.3)[:, None] * (GRID[:, 0] % 2 - 0.5)
