@@ -31,9 +31,8 @@ __all__ = [
 ]
 
 #: Tolerance: columns are dropped when they could not change the flux by this part of its noise's
-#: variance with coefficients of one; of higher orders, whose coefficients may be larger, earlier.
-_TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-3
-_SHARED_TOLERANCE = 1e-6
+#: variance with coefficients of one, or of a hundred for higher orders, which may have larger ones.
+_TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-6
 _MAX_RANK = 300
 #: Prior: products with pixels so far apart have common coefficients (px); number of components of
 #: files of other stars.
@@ -75,13 +74,11 @@ def make_regressors(pixels, use, options):
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
         columns, _ = power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)
+        if n == 2:  # responses within pixels have much in common
+            columns = np.concatenate([columns, shared_columns(images, _REACH)], axis=1)
         columns = center(columns, use)
         columns = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
         parts[f"order {n}"] = columns[:, :most]
-        if n == 2:
-            shared = center(shared_columns(images, n, _REACH), use)
-            shared = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
-            parts["order 2, shared"] = shared[:, :most]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():

@@ -90,25 +90,21 @@ def _pivoted_cholesky(points, order, tolerance, max_rank):
     return pivots, factor[: len(pivots), pivots].T, float(rest.mean())
 
 
-def shared_columns(images, order, reach):
-    r"""Return products of neighboring fractions, summed over all pixels.
+def shared_columns(images, reach):
+    r"""Return products of two fractions, summed over all pixels.
 
-    When all pixels have the same intra-pixel response, products of order n with the same offsets
-    have the same coefficients: only their sums over the pixels count. For order 2 these are
-    :math:`\sum_l p_l p_{l+d}` for all offsets :math:`d` up to ``reach`` pixels along either axis,
-    for order n :math:`\sum_l p_l^{n-1} p_{l+d}`. The ``images`` of the fractions,
-    ``(n_cadences, ny, nx)``, are zero outside of the aperture.
+    When all pixels have the same intra-pixel response, products with the same offset have the same
+    coefficient: only the sums :math:`\sum_l p_l p_{l+d}` count, for all offsets :math:`d` up to
+    ``reach`` pixels along either axis. The ``images`` of the fractions, ``(n_cadences, ny, nx)``,
+    are zero outside of the aperture.
     """
-    powers = images ** (order - 1)
-    padded = np.pad(images, ((0, 0), (reach, reach), (reach, reach)))
     ny, nx = images.shape[1:]
+    padded = np.pad(images, ((0, 0), (0, reach), (reach, reach)))
     columns = []
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            if order == 2 and (dy, dx) < (0, 0):
-                continue
-            shifted = padded[:, reach + dy : reach + dy + ny, reach + dx : reach + dx + nx]
-            columns.append(np.einsum("ijk,ijk->i", powers, shifted))
+    for dy in range(reach + 1):
+        for dx in range(-reach if dy else 0, reach + 1):
+            shifted = padded[:, dy : dy + ny, reach + dx : reach + dx + nx]
+            columns.append(np.einsum("ijk,ijk->i", images, shifted))
     return np.stack(columns, axis=1)
 
 

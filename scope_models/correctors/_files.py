@@ -186,7 +186,7 @@ def _cards(corrector, survival):
     result, cards = corrector.result, []
     if result is not None:
         cards += [
-            ("PLDORDER", sum("shared" not in g for g in result.groups if g[:5] == "order"),
+            ("PLDORDER", sum(group.startswith("order") for group in result.groups),
              "highest order of pixel fractions"),
             ("PLDNFIT", result.n_used, "cadences in the fit"),
             ("PLDNOUT", result.n_outliers, "cadences left out as outliers"),

@@ -100,7 +100,7 @@ class PLDFit:
 
     @property
     def groups(self):
-        """Names of the groups of regressors, as ``"order 1"``, ``"order 2, shared"``."""
+        """Names of the groups of regressors, as ``"order 1"`` and ``"focus"``."""
         return self.solution.regressors.names
 
     @property

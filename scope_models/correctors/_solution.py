@@ -37,7 +37,6 @@ _FAST = 1.0
 _EXPECTED = {
     "order 1": 0.012,
     "order 2": 0.02,
-    "order 2, shared": 0.01,
     "segments": 1e-4,
     "focus": 1e-5,
     "aperture": 1.0,

@@ -49,9 +49,9 @@ class PLDCorrector(LightkurveNames, Corrector):
                  + \mathrm{const} + \mathrm{noise}, \qquad p_l = f_l / \sum_k f_k,
 
     with all products of the pixel fractions up to order n. The coefficients
-    have Gaussian priors, one variance per order; the sums over the pixels of
-    products of neighbors, which are the same function of position in all
-    pixels, have their own. The long-term variability g is a Gaussian process or
+    have Gaussian priors, one variance per order; those of products of two
+    have a part that depends on their offset alone, for the responses within
+    pixels have much in common. The long-term variability g is a Gaussian process or
     a quadratic polynomial. The variances and time scales maximize the
     marginal likelihood, so that there is nothing to tune.
 

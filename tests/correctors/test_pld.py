@@ -100,7 +100,7 @@ def test_orders(star, order):
 def test_result(corrected):
     result = corrected.result
     table = result.to_table()
-    groups = ["order 1", "order 2", "order 2, shared", "focus", "misfit"]
+    groups = ["order 1", "order 2", "focus", "misfit"]
     assert list(table["group"]) == groups
     used = table["effective_parameters"]
     assert np.all(used >= -1e-6)
@@ -483,7 +483,7 @@ def test_a_full_star_keeps_a_bump():
     for fractions in ("predicted", "measured"):
         lc = PLDCorrector(sky.to_tpf()).correct(fractions=fractions)
         found[fractions] = score(lc, sky)
-    assert found["predicted"].full < 3
+    assert abs(found["predicted"].amplitude - 1) < 2e-3
     assert found["measured"].full > 2 * found["predicted"].full
 
 
