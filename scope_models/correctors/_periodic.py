@@ -51,10 +51,9 @@ class _Waves:
         """
         k = np.arange(1, self.count + 1)
         sizes = np.sinc(k * self.base * np.median(np.diff(time))) / k
-        phase = 2 * np.pi * np.outer(time, self.frequencies)
-        columns = np.stack([np.cos(phase), np.sin(phase)], axis=2)
-        columns[:, : self.count] *= sizes[:, None]
-        return columns.reshape(len(time), -1)
+        turns = np.exp(2j * np.pi * np.outer(time, np.append(self.base, self.others)))
+        harmonics = np.repeat(turns[:, :1], self.count, axis=1).cumprod(axis=1)
+        return np.concatenate([harmonics * sizes, turns[:, 1:]], axis=1).view(float)
 
     def improbability(self, n):
         """Return minus the logarithm of the prior of frequencies that may be anywhere.
@@ -205,9 +204,9 @@ def _with_series(waves, solution, use, n_most):
     series = _Waves(others, base, last).completed(solution, use, n_most)
     found = [waves, series]
     if not waves.count:  # later its odd multiples are peaks of their own
-        half = replace(series, base=series.base / 2).completed(solution, use, n_most)
-        if np.max(half.gains(solution, use)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
-            found.append(half)
+        half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
+        if half.gains(solution, use)[: half.count : 2].max() >= _SIGNIFICANT:
+            found.append(replace(half, count=series.count).completed(solution, use, n_most))
     return max(found, key=lambda each: each.likelihood(solution, use))
 
 
