@@ -1,6 +1,7 @@
 """Periodic variability: the frequencies of a star that pulsates, is eclipsed, or rotates fast."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 from astropy.stats import mad_std
@@ -34,9 +35,12 @@ _ALONE = 10.0
 
 @dataclass(frozen=True)
 class _Waves:
-    """Harmonics of one frequency, ``count`` of them, and others."""
+    """Harmonics of one frequency, ``count`` of them, and others.
 
-    others: np.ndarray = field(default_factory=lambda: np.empty(0))
+    ``fit`` is a function that returns a `Solution` with columns of waves.
+    """
+
+    others: tuple = ()
     base: float = 0.0
     count: int = 0
 
@@ -62,27 +66,29 @@ class _Waves:
         """
         return (len(self.others) + (self.count > 0)) * np.log(n / 2)
 
-    def settled(self, solution, use):
+    def settled(self, fit):
         """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
-        waves, fitted, size = self, solution.with_waves(self, use), _SHIFT
+        waves, size = self, _SHIFT
         for _ in range(_STEPS):
-            moved, steps = waves._shifted(fitted, solution.n_trend, size)
-            trial = solution.with_waves(moved, use)
-            if trial.log_likelihood > fitted.log_likelihood:
-                waves, fitted = moved, trial
+            moved, steps = waves._shifted(fit(waves), size)
+            if fit(moved).log_likelihood > fit(waves).log_likelihood:
+                waves = moved
             else:
                 size /= 4
             if np.max(steps, initial=0.0) < _SMALL_SHIFT:
                 break
         return waves
 
-    def _shifted(self, fitted, first, size):
-        """Return it after one step from a fit, in which it has the ``first`` flat column.
+    def _rows(self, fitted):
+        """Return the first of its flat columns in a fit, and the one after the last."""
+        return fitted.n_trend - 2 * len(self.frequencies), fitted.n_trend
 
-        The prior of the step has a ``size``. The second value is the steps over their errors.
+    def _shifted(self, fitted, size):
+        """Return it after one step from a fit, and the steps over their errors.
+
+        The prior of the step has a ``size``.
         """
-        count, k = self.count, fitted.n_regressors
-        last = first + 2 * len(self.frequencies)
+        count, k, (first, last) = self.count, fitted.n_regressors, self._rows(fitted)
         amplitudes, waves = fitted.posterior.mean[k + first : k + last], fitted.flat[:, first:last]
         slope = waves[:, ::2] * amplitudes[1::2] - waves[:, 1::2] * amplitudes[::2]
         slope *= 2 * np.pi * fitted.time[:, None]
@@ -98,13 +104,13 @@ class _Waves:
         step = covariance @ (slope.T @ fitted.alpha)
         base = self.base + step[0] if count else 0.0
         steps = np.abs(step) / np.sqrt(np.diag(covariance))
-        return _Waves(self.others + step[int(count > 0) :], base, count), steps
+        others = np.add(self.others, step[int(count > 0) :])
+        return _Waves(tuple(others), base, count), steps
 
-    def gains(self, solution, use):
+    def gains(self, fit):
         """Return what each frequency gains beside the others: twice the log-likelihood."""
-        fitted = solution.with_waves(self, use)
-        first = fitted.n_regressors + solution.n_trend
-        rows = first + np.arange(2 * len(self.frequencies)).reshape(-1, 2)
+        fitted = fit(self)
+        rows = fitted.n_regressors + np.arange(*self._rows(fitted)).reshape(-1, 2)
         mean = fitted.posterior.mean[rows]
         covariance = fitted.posterior.covariance[rows[:, :, None], rows[:, None, :]]
         return np.einsum("ij,ij->i", mean, np.linalg.solve(covariance, mean[:, :, None])[:, :, 0])
@@ -113,36 +119,32 @@ class _Waves:
         """Return the number of the last harmonic that is needed."""
         return int(np.flatnonzero(gains[: self.count] >= _SIGNIFICANT).max(initial=-1)) + 1
 
-    def completed(self, solution, use, most):
+    def completed(self, fit, most):
         """Return it with as many harmonics as are needed, at most so many."""
         waves, count = self, 0
         while count < min(2 * waves.count, most):
             count = min(2 * waves.count, most)
-            waves = replace(waves, count=count).settled(solution, use)
-            waves = replace(waves, count=waves.last(waves.gains(solution, use)))
+            waves = replace(waves, count=count).settled(fit)
+            waves = replace(waves, count=waves.last(waves.gains(fit)))
         return waves
 
-    def significant(self, solution, use):
+    def significant(self, fit):
         """Return it without frequencies that are not needed, the weakest first.
 
         Of a series the last ones go: the others are its shape.
         """
         waves = self
         while len(waves.frequencies):
-            gain = waves.gains(solution, use)
+            gain = waves.gains(fit)
             count, gain = waves.last(gain), gain[waves.count :]
             weak = gain < _SIGNIFICANT
             if count == waves.count and not weak.any():
                 break
             # those that share a peak are weak each, but not together: half of them go at once
             limit = np.median(gain[weak]) if weak.any() else 0.0
-            waves = _Waves(waves.others[~(weak & (gain <= limit))], waves.base, count)
+            others = np.array(waves.others)[~(weak & (gain <= limit))]
+            waves = _Waves(tuple(others), waves.base, count)
         return waves
-
-    def likelihood(self, solution, use):
-        """Return the logarithm of the likelihood, with the prior of the frequencies."""
-        fitted = solution.with_waves(self, use)
-        return fitted.log_likelihood - self.improbability(use.sum())
 
 
 def find_waves(solution, allowed):
@@ -167,22 +169,27 @@ def find_waves(solution, allowed):
         new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
         if not len(new) or len(waves.frequencies) + len(new) > n_most:
             break
-        plain = replace(solution, hyper=trial.hyper)
-        waves = replace(waves, others=np.append(waves.others, new)).settled(plain, use)
-        waves = _with_series(waves, plain, use, n_most)
-        rest = plain.with_waves(waves, use).unexplained
-    return waves.significant(replace(solution, hyper=trial.hyper), use)
+        fit = _fitter(solution, trial)
+        waves = replace(waves, others=(*waves.others, *new)).settled(fit)
+        waves = _with_series(waves, fit, n_most)
+        rest = fit(waves).unexplained
+    return waves.significant(_fitter(solution, trial))
 
 
-def _with_series(waves, solution, use, n_most):
+def _fitter(solution, trial):
+    """Return the function from waves to their fits with the variances and cadences of a trial."""
+    plain = replace(solution, hyper=trial.hyper)
+    return lru_cache(maxsize=4)(partial(plain.with_waves, use=trial.use))
+
+
+def _with_series(waves, fit, n_most):
     """Return the waves, or harmonics of one frequency and what is left if they are more likely.
 
     Most of the waves are multiples of the frequency, by less chance than of others. Of two nearly
     equal eclipses in a period even multiples are the strongest: if odd ones of half of the
     frequency are needed, it is half.
     """
-    time = solution.time[use]
-    length = np.ptp(time)
+    length, n = np.ptp(fit(waves).data.time), len(fit(waves).data.time)
     near = _NEAR / length
 
     def multiples(frequencies, base):
@@ -199,15 +206,15 @@ def _with_series(waves, solution, use, n_most):
     if found[best] < max(2, len(pool) / 2):
         return waves
     base, frequencies = bases[best], waves.frequencies
-    others = frequencies[~multiples(frequencies, base)]
+    others = tuple(frequencies[~multiples(frequencies, base)])
     last = round(frequencies[multiples(frequencies, base)].max() / base)
-    series = _Waves(others, base, last).completed(solution, use, n_most)
+    series = _Waves(others, base, last).completed(fit, n_most)
     found = [waves, series]
     if not waves.count:  # later its odd multiples are peaks of their own
         half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
-        if half.gains(solution, use)[: half.count : 2].max() >= _SIGNIFICANT:
-            found.append(replace(half, count=series.count).completed(solution, use, n_most))
-    return max(found, key=lambda each: each.likelihood(solution, use))
+        if half.gains(fit)[: half.count : 2].max() >= _SIGNIFICANT:
+            found.append(replace(half, count=series.count).completed(fit, n_most))
+    return max(found, key=lambda each: fit(each).log_likelihood - each.improbability(n))
 
 
 def _with_simple_noise(solution, rest):
