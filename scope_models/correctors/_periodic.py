@@ -212,7 +212,7 @@ def _with_series(waves, fit, n_most):
     found = [waves, series]
     if not waves.count:  # later its odd multiples are peaks of their own
         half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
-        if half.gains(fit)[: half.count : 2].max() >= _SIGNIFICANT:
+        if np.max(half.gains(fit)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
             found.append(replace(half, count=series.count).completed(fit, n_most))
     return max(found, key=lambda each: fit(each).log_likelihood - each.improbability(n))
 
