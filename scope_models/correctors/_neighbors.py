@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._pixels import scatter, without_background
+from scope_models.correctors._pixels import without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
@@ -161,13 +161,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
 def _is_credible(found, peak, flux, use, inside, own):
     """Return whether the light of found neighbors may be taken off.
 
-    Its noise in the aperture is not larger than that of all light there, and others have no more
+    Without it the light in the aperture does not vary more than with it, and others have no more
     than half of the pixels from which the light rises to the target's peak, if that is its own.
     """
     shape, track, others = found
     others, flux = others.sum(axis=0)[use], flux[use]
     whole, left = (values[:, inside].sum(axis=1) for values in (flux, flux - others))
-    if scatter(left) > np.sqrt(2) * scatter(whole):
+    if left.std() > np.sqrt(2) * whole.std():
         return False
     away = np.median(track.stacked[:, 1:3], axis=0) - peak
     nearer = np.hypot(*(shape.neighbors[:, 1:] + away).T) < np.hypot(*away)

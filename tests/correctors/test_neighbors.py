@@ -3,6 +3,7 @@
 import tracemalloc
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from astropy.table import Table
 from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.benchmark import SkyRegime, make_sky, score
 from scope_models.correctors import PLDCorrector
+from scope_models.correctors._neighbors import _is_credible
 from scope_models.exceptions import DetrendingWarning, LostLightWarning
 from scope_models.io import read_pixels
 from scope_models.io.pixels import target_place
@@ -411,3 +413,17 @@ def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 5e8
+
+
+@pytest.mark.parametrize(("size", "credible"), [(0.5, True), (3.0, False)])
+def test_light_that_varies_more_than_all_light_is_not_taken_off(size, credible):
+    """A bright star beside a stamp, whose image the model does not know to a percent."""
+    roll = np.sin(np.arange(200) / 2)[:, None, None]
+    image = np.array([[1.0, 5.0, 1.0], [5.0, 90.0, 5.0], [1.0, 5.0, 1.0]])
+    flux, inside = image * (1 + 0.01 * roll), np.ones((3, 3), dtype=bool)
+    others = 0.01 * image * (1 + size * roll)
+    shape = SimpleNamespace(neighbors=np.array([[30.0, -4.0, -4.0]]))
+    track = SimpleNamespace(stacked=np.tile([100.0, 1.0, 1.0], (200, 1)))
+    found = shape, track, others[None]
+    use = np.ones(200, dtype=bool)
+    assert _is_credible(found, np.array([1, 1]), flux, use, inside, inside) == credible
