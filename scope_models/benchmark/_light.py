@@ -4,17 +4,9 @@ from functools import partial
 
 import numpy as np
 
-__all__ = ["LIGHTS", "MOTIONS", "make_transit", "red_noise"]
+from scope_models.effects._noise import red_noise
 
-
-def red_noise(rng, time, scale):
-    """Return a process of standard deviation 1 that forgets within `scale` days."""
-    kept = np.exp(-np.diff(time, prepend=time[0]) / scale)
-    noise = rng.normal(size=len(time))
-    values = noise.copy()
-    for i in range(1, len(time)):
-        values[i] = kept[i] * values[i - 1] + np.sqrt(1 - kept[i] ** 2) * noise[i]
-    return values
+__all__ = ["LIGHTS", "MOTIONS", "make_transit"]
 
 
 def _roll(rng, time):

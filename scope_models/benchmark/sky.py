@@ -10,10 +10,11 @@ from scope_models._arrays import plain_array
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import Value
-from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit, red_noise
+from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit
 from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
 from scope_models.benchmark._scores import SkyScore, score_light_curve
 from scope_models.benchmark.regimes import REGIMES, SkyRegime
+from scope_models.effects._noise import red_noise
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll

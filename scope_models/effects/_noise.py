@@ -18,7 +18,7 @@ from scope_models._checks import checked_integer
 
 __all__ = [
     "NOISE_TERMS", "add_quantization", "bleed", "correlated", "fresh_seed", "noise_terms",
-    "poisson_counts", "poisson_quantile", "stream",
+    "poisson_counts", "poisson_quantile", "red_noise", "stream",
 ]  # fmt: skip
 
 NOISE_TERMS = ("photon", "background", "read", "quantization")
@@ -66,6 +66,14 @@ def correlated(generator, n, correlation):
     white = generator.standard_normal(n)
     white[1:] *= np.sqrt(1 - kept**2)
     return lfilter([1.0], [1.0, -kept], white)
+
+
+def red_noise(generator, time, correlation_time):
+    """Return a Gauss-Markov process of unit variance at any times, in the unit of its time."""
+    values = generator.standard_normal(len(time))
+    for i, part in enumerate(np.exp(-np.diff(time) / correlation_time), start=1):
+        values[i] = part * values[i - 1] + np.sqrt(1 - part**2) * values[i]
+    return values
 
 
 def poisson_quantile(deviate, mean):

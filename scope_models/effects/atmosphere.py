@@ -9,6 +9,7 @@ from astropy.time import Time
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
+from scope_models.effects._noise import red_noise
 from scope_models.effects.base import Drawn, Effect, per_cadence, series_of
 from scope_models.missions import TIME_ZEROS
 
@@ -145,14 +146,6 @@ def moon_geometry(time, coord, location):
     }
 
 
-def _red_noise(generator, time, correlation_time):
-    """Return a Gauss-Markov process of unit variance at any times."""
-    values = generator.standard_normal(len(time))
-    for i, part in enumerate(np.exp(-np.diff(time) / correlation_time), start=1):
-        values[i] = part * values[i - 1] + np.sqrt(1 - part**2) * values[i]
-    return values
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Extinction(Effect):
     r"""Light of the stars that the atmosphere absorbs and scatters.
@@ -203,7 +196,7 @@ class Extinction(Effect):
     def draw(self, conditions, generator):
         time = conditions.time
         column = series_of(self.airmass, time, "airmass")
-        change = self.scatter * _red_noise(generator, time, self.correlation_time)
+        change = self.scatter * red_noise(generator, time, self.correlation_time)
         factor = 10 ** (-0.4 * (self.coefficient * column + change))
         return Drawn({"AIRMASS": np.array(column), "EXTINCTION": factor})
 
@@ -329,7 +322,7 @@ class Seeing(Effect):
 
     def draw(self, conditions, generator):
         time = conditions.time
-        change = self.scatter * _red_noise(generator, time, self.correlation_time)
+        change = self.scatter * red_noise(generator, time, self.correlation_time)
         return Drawn({"SEEING": series_of(self.airmass, time, "airmass") ** 0.6 * np.exp(change)})
 
     def width(self, drawn, conditions):
