@@ -295,6 +295,7 @@ class TabulatedPRF(_Table):
     """
 
     pixel_integrated = True
+    _fluxes = _Table.array  # of a star of unit flux
 
     def uncertainty_image(self, shape):
         """Return the uncertainty of the fluxes in an image that the table brings with it.
@@ -364,8 +365,8 @@ class TabulatedPRF(_Table):
         from photutils.psf import ImagePSF
 
         size = integer_oversampling(self.oversampling)
-        values = numbers_of(self)
-        return ImagePSF(np.array(self.array), **values, origin=self.origin, oversampling=size)
+        values = dict(zip(("flux", "x_0", "y_0"), self.parameters.tolist(), strict=False))
+        return ImagePSF(np.array(self._fluxes), **values, origin=self.origin, oversampling=size)
 
 
 def integer_oversampling(oversampling):
@@ -470,16 +471,6 @@ class CorrectedPRF(TabulatedPRF):
         offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
-    def to_photutils(self):
-        """Return the corrected table as a model of photutils.
-
-        Returns
-        -------
-        model : `~photutils.psf.ImagePSF`
-            With the same flux and position.
-        """
-        return self.corrected_table().to_photutils()
-
     def corrected_table(self):
         """Return a plain table of the corrected PRF.
 
@@ -488,7 +479,10 @@ class CorrectedPRF(TabulatedPRF):
         table : TabulatedPRF
             With the correction in its samples.
         """
+        values = self.parameters[:3]
+        return TabulatedPRF(self._fluxes, self.oversampling, *values, origin=self.origin)
+
+    @property
+    def _fluxes(self):
         dx, dy = self._offsets()
-        values, coefficients = self.parameters[:3], self.parameters[3:]
-        samples = self.unit_derivatives(dx, dy[:, np.newaxis], *coefficients)[0]
-        return TabulatedPRF(samples, self.oversampling, *values, origin=self.origin)
+        return self.unit_derivatives(dx, dy[:, np.newaxis], *self.parameters[3:])[0]
