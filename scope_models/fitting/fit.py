@@ -13,14 +13,7 @@ from astropy.stats import mad_std
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import _start
-from scope_models.fitting._doubts import (
-    CERTAIN,
-    LARGEST_FLUX,
-    LARGEST_SCATTER,
-    doubts_of,
-    is_measured,
-)
+from scope_models.fitting import _doubts, _start
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, expected_gain, solve
@@ -204,7 +197,7 @@ def fit_tpf(
             fits = fit_response(problem, solution, fits, bar)
     with one_thread:
         models = _of_models(response, tried, solution, fits[0])
-        for doubt in chain(models, *map(doubts_of, fits)):
+        for doubt in chain(models, *map(_doubts.doubts_of, fits)):
             warnings.warn(doubt, FitWarning, stacklevel=2)
     return tuple(fits) if several else fits[0]
 
@@ -214,7 +207,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     left = any_psf and any_response and sensitivity is None and problem.options.focus is None
     # Whether the flux where the fit starts is above what the noise of a place makes.
     flux = problem.fluxes(_start.starting_state(problem))
-    seen = np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
+    seen = np.median(flux) > _doubts.CERTAIN * mad_std(flux) / np.sqrt(len(flux))
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
         candidates = _candidates(problem, sensitivity, simple, any_psf, any_response)
@@ -358,7 +351,7 @@ def _with_response(solution, steps, n_cadences):
     powers, errors = other.problem.prf.response_powers, np.sqrt(np.diag(covariances(other).shared))
     errors = errors * np.sqrt(len(other.problem.flux) / n_cadences)
     measured = all(
-        is_measured(powers[parameter.name], error)
+        _doubts.is_measured(powers[parameter.name], error)
         for parameter, error in zip(other.problem.parameters, errors, strict=False)
         if parameter.kind == "response"
     )
@@ -385,13 +378,13 @@ def _hidden_gain(solution):
     if given is not None or not _is_true(solution):
         return 0.0
     gain = expected_gain(*_richer(solution))
-    return gain if gain > CERTAIN**2 else 0.0
+    return gain if gain > _doubts.CERTAIN**2 else 0.0
 
 
 def _is_true(solution, *, strictly=False):
     """Whether the model describes the pixels, with a response that agrees with its prior."""
     problem, prior = solution.problem, solution.problem.options.interpixel
-    agrees = not prior or np.std(solution.state.interpixel) <= LARGEST_SCATTER * prior
+    agrees = not prior or np.std(solution.state.interpixel) <= _doubts.LARGEST_SCATTER * prior
     excess = solution.equations.cost / problem.dof - 1
     enough = solution.converged and excess < _EXCESS * np.sqrt(2 / problem.dof)
     return problem.misfit == 1.0 and agrees and (enough or not strictly)
@@ -407,7 +400,7 @@ def _is_strange(solution):
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     images = problem.unit_images(state, slice(None, None, _SOME))
     inside = np.median(images.sum(axis=1)) >= _LEAST_INSIDE
-    return not (inside and 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light))
+    return not (inside and 0 < np.median(problem.fluxes(state)) < _doubts.LARGEST_FLUX * abs(light))
 
 
 def _rank(solution):
