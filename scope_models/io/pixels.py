@@ -349,14 +349,6 @@ def _check_times(series, name):
         _ = series.time_format
 
 
-def _attribute(tpf, name):
-    """Return an attribute that may be absent, or that the object's file lacks."""
-    try:
-        return getattr(tpf, name, None)
-    except (AttributeError, IndexError, KeyError, TypeError):
-        return None
-
-
 def _has_file(tpf):
     """Return whether the object is lightkurve's target pixel file of a mission."""
     return hasattr(type(tpf), "pipeline_mask") and hasattr(tpf, "quality_mask")
@@ -380,28 +372,29 @@ def _check_place(header, name):
 
 def positions_of(source):
     """Return the positions of lightkurve's object, as `read_positions` does."""
-    names = {"time": "time", "x": "pos_corr1", "y": "pos_corr2"}
-    columns = {name: _attribute(source, attribute) for name, attribute in names.items()}
-    if any(column is None for column in columns.values()):
+    series = read_pixels(source) if _has_file(source) else None
+    if series is None:
+        time, x, y = (getattr(source, name, None) for name in ("time", "pos_corr1", "pos_corr2"))
+    else:
+        time, (x, y) = series.time, (None,) * 2 if series.pos_corr is None else series.pos_corr.T
+    if any(column is None for column in (time, x, y)):
         kind = type(source).__name__
         message = f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them"
         raise TypeError(f"{message}; `Motion.from_file` reads files")
-    columns |= {axis: plain_array(columns[axis], "pix", "pos_corr") for axis in "xy"}
-    if _has_file(source):
-        series = read_pixels(source)
+    columns = {axis: plain_array(v, "pix", "pos_corr") for axis, v in (("x", x), ("y", y))}
+    if series is not None:
         names = ("time", "quality", "cadenceno", "time_format")
         columns |= {name: getattr(series, name) for name in names}
         return columns | {"meta": _opening.facts_of(series.header)}
     header = _opening.cards_of(getattr(source, "meta", None) or {})
-    form = getattr(source.time, "format", None)
+    form = getattr(time, "format", None)
     if "BJDREFI" not in header and form in TIME_ZEROS:
         header["BJDREFI"] = int(TIME_ZEROS[form])
     time_format = _opening.time_format_of(header) or "bkjd"
     columns |= {"time_format": time_format, "meta": _opening.facts_of(header)}
     for name in ("quality", "cadenceno"):
-        value = _attribute(source, name)
+        value = getattr(source, name, None)
         columns[name] = None if value is None else np.asarray(without_unit(value))
-    time = source.time
     if not isinstance(time, Time) or time.format not in TIME_ZEROS or np.any(time.mask):
         time = plain_time(time, time_format, "time of tpf")
     return columns | {"time": np.array(without_unit(time), dtype=float).reshape(-1)}
@@ -459,8 +452,8 @@ def target_place(series):
     """Return the target's column and row in the stamp by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FITSFixedWarning)  # of a WCS that is of no use
+        # Of a WCS that is of no use.
+        with warnings.catch_warnings(action="ignore", category=FITSFixedWarning):
             return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
     except (TypeError, ValueError):  # they, or the WCS, are missing or no numbers
         return None
