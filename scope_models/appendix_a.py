@@ -197,8 +197,8 @@ class Target:
 
     @property
     def _noise_free(self):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", sm.exceptions.LostLightWarning)  # it has warned
+        # It has warned.
+        with warnings.catch_warnings(action="ignore", category=sm.exceptions.LostLightWarning):
             return self._simulated(self.scene.replace(stars=self.star, noise=False)).flux
 
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):

@@ -201,10 +201,9 @@ def star_positions(tpf, path):
 def file_cards(file):
     """Return the cards that name a target pixel file; none of one that cannot be read."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with get_readable_fileobj(file, encoding="binary") as stream:
-                headers = [fits.Header.fromfile(stream) for _ in range(2)]
-                return cards_of(*({key: h[key] for key in _KEYWORDS if key in h} for h in headers))
+        opened = get_readable_fileobj(file, encoding="binary")
+        with warnings.catch_warnings(action="ignore"), opened as stream:
+            headers = [fits.Header.fromfile(stream) for _ in range(2)]
+            return cards_of(*({key: h[key] for key in _KEYWORDS if key in h} for h in headers))
     except (OSError, ValueError, IndexError, EOFError, fits.VerifyError):
         return {}

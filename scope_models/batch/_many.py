@@ -90,8 +90,7 @@ def run_files(
 def _worked(work, options, folder, seed, task):
     """Write the file of a star and return its row, with the warnings and the cost."""
     start = time.thread_time()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         row = work(task, folder / task["output"], star_seed(seed, task["key"]), **options)
     texts = dict.fromkeys(" ".join(str(item.message).split()) for item in caught)
     texts = [text for text in texts if "tpfmodel submodule" not in text]

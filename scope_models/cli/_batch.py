@@ -144,8 +144,8 @@ def run(compute, arguments, *inputs, **options):
     from scope_models.exceptions import FailedStarsWarning
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
+        # The failures are listed below.
+        with warnings.catch_warnings(action="ignore", category=FailedStarsWarning):
             result = compute(
                 *inputs, output_dir=arguments.output_dir, client=client, **options,
                 overwrite=arguments.overwrite, sweep={"progress": sys.stderr.isatty()},

@@ -98,8 +98,7 @@ def _tracks(name, series, *, pixels):
     """Return the positions of a star as its POS_CORR and its pixels have them."""
     tracks = list(filter(None, [pos_corr_track(name, series)]))
     if pixels:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             fit = fit_tpf(  # fast, and of errors that the map takes
                 series, psf=1, positions="free", response="psf", interpixel=0.0, neighbors="find"
             )

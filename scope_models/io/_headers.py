@@ -263,8 +263,7 @@ def _checked_card(keyword, given):
         raise ValueError(f"`extra_cards` must have keywords of 1 to 8 characters, got {keyword!r}")
     value = value.item() if isinstance(value, np.generic) else value
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings(action="error"):
             card = fits.Card(keyword.upper(), value, comment)
             card.verify("exception")
             str(card)

@@ -210,8 +210,7 @@ def _at(scene, series):
 
 
 def _simulated(scene):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LostLightWarning)
+    with warnings.catch_warnings(action="ignore", category=LostLightWarning):
         return simulate(scene, keep_model=True)
 
 
