@@ -64,11 +64,6 @@ class PixelData(PixelSeries):
     def shape(self):
         return self.pixels.shape
 
-    def __getitem__(self, cadences):
-        error = self.pos_err if self.pos_err is None else self.pos_err[cadences]
-        own = {"light": self.light[cadences], "pos_err": error}
-        return super().__getitem__(cadences).replace(**own)
-
 
 def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     """Take the usable data of a `PixelSeries`, with the positions ``moved`` and their errors."""

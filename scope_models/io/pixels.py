@@ -105,9 +105,9 @@ class PixelSeries(Value):
     def __getitem__(self, cadences):
         if isinstance(cadences, Integral):
             raise TypeError(f"cadences are chosen by slices or masks, got {cadences!r}")
-        names = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr")
-        values = {name: getattr(self, name) for name in names}
-        return self.replace(**{k: v if v is None else v[cadences] for k, v in values.items()})
+        # All arrays but the masks of pixels have a value for each cadence.
+        arrays = {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return self.replace(**{k: v[cadences] for k, v in arrays.items() if v.dtype != bool})
 
     @property
     def time_format(self):
