@@ -44,7 +44,9 @@ ValueError
     If there is no such preset or cadence.
 TypeError
     If a field is misspelled."""
-_CADENCE = f"""cadence : {{"long", "short"}}, float or Quantity, optional
+_CADENCE = f"""Parameters
+----------
+cadence : {{"long", "short"}}, float or Quantity, optional
     270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a unit.
 {_CHANGES}"""
 
@@ -248,8 +250,6 @@ class Detector(Value):
     def kepler(cls, cadence="long", **changes):
         """Return the Kepler photometer.
 
-        Parameters
-        ----------
         {rest}
 
         Notes
@@ -291,8 +291,6 @@ class Detector(Value):
     def k2(cls, cadence="long", **changes):
         """Return the Kepler photometer in the K2 mission.
 
-        Parameters
-        ----------
         {rest}
 
         Notes
@@ -318,8 +316,6 @@ class Detector(Value):
         pixels, that between them and the wings of the PSF are fitted to the noise of K2
         campaign 3 before de-trending.
 
-        Parameters
-        ----------
         {rest}
 
         Notes

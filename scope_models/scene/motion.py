@@ -41,12 +41,20 @@ _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
 _LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
+_START = "by default that of a campaign of the mission"
+_LONGER = "Number of cadences. A longer series begins like a shorter one."
 
 
-def _rest(kind, unit="", zero="BKJD", start="by default that of a campaign of the mission"):
-    """Return what the docstrings of all generators have in common, from cadence or seed on."""
-    cadence = f"cadence : float or Quantity, optional\n    Time between cadences, {unit}.\n"
-    return f"""{cadence if unit else ""}seed : int or None, optional
+def _rest(kind, unit="", zero="BKJD", start=_START, number=_LONGER):
+    """Return what the docstrings of generators share: all arguments if there is a unit."""
+    first = f"""Parameters
+----------
+n_cadences : int, optional
+    {number}
+cadence : float or Quantity, optional
+    Time between cadences, {unit}.
+"""
+    return f"""{first if unit else ""}seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
 start : float, Quantity or Time, optional
     Time of the first cadence, {zero}; {start}.
@@ -539,17 +547,13 @@ class Motion(Value):
         return motion.replace(cadenceno=number, meta=meta)
 
     @classmethod
-    @documented(rest=_rest("GroundTracking", "s", "BTJD"))
+    @documented(rest=_rest("GroundTracking", "s", "BTJD", number="Number of exposures."))
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
         The image motion is that of the seeing and the aperture; pointing, drift and wind are
         assumed.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of exposures.
         {rest}
 
         Examples
@@ -567,10 +571,6 @@ class Motion(Value):
     def random_walk(cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters):
         """Generate a random walk for tests of correctors; no mission moves like this.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences. A longer series begins like a shorter one.
         {rest}
 
         Examples
@@ -589,10 +589,6 @@ class Motion(Value):
     ):
         """Generate a drift with growing jumps for tests of correctors; no mission moves like this.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences. A longer series begins like a shorter one.
         {rest}
 
         Examples
