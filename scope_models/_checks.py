@@ -69,7 +69,7 @@ def integer(default, smallest, largest=None):
 
 
 def check_fields(instance):
-    """Bring each `number` and `integer` of a frozen dataclass to type; None stays as a default."""
+    """Check each field that has a ``check``, as a `number` has; None stays as a default."""
     for item in fields(instance):
         value, options = getattr(instance, item.name), dict(item.metadata)
         if options and not (value is None and item.default is None):
@@ -126,14 +126,14 @@ def checked_mask(name, mask, shape):
     return mask.astype(bool)
 
 
-def checked_matrix(matrix):
+def checked_matrix(name, matrix):
     """Return the four numbers of an invertible matrix of a projection."""
     try:
-        a, b, c, d = (checked_number("matrix", value, any_sign=True) for value in matrix)
+        a, b, c, d = (checked_number(name, value, any_sign=True) for value in matrix)
     except (TypeError, ValueError) as error:
-        raise type(error)(f"`matrix` must be four finite numbers, got {matrix!r}") from None
+        raise type(error)(f"`{name}` must be four finite numbers, got {matrix!r}") from None
     if a * d == b * c:
-        raise ValueError(f"`matrix` must be invertible, got {matrix!r}")
+        raise ValueError(f"`{name}` must be invertible, got {matrix!r}")
     return a, b, c, d
 
 

@@ -122,7 +122,7 @@ class TPFMetadata(Value):
     x_0: float | None = number(None, u.pix, any_sign=True)
     y_0: float | None = number(None, u.pix, any_sign=True)
     orientation: float = number(0.0, u.deg, any_sign=True)
-    matrix: tuple[float, float, float, float] | None = None
+    matrix: tuple[float, ...] | None = field(default=None, metadata={"check": checked_matrix})
     magnitude: float | None = number(None, u.mag, any_sign=True)
     quarter: int | None = integer(None, 0)
     campaign: int | None = integer(None, 0)
@@ -164,8 +164,6 @@ class TPFMetadata(Value):
             raise TypeError(f"`date` must be a datetime.date, got {self.date!r}")
         if not isinstance(self.extra_cards, Mapping):
             raise TypeError(f"`extra_cards` must be a mapping, got {self.extra_cards!r}")
-        if self.matrix is not None:
-            object.__setattr__(self, "matrix", checked_matrix(self.matrix))
         self._check_place()
 
     def _check_place(self):

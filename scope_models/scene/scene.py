@@ -106,7 +106,7 @@ class Scene(Value):
     ra: float | None = number(None, "deg", any_sign=True)
     dec: float | None = number(None, "deg", any_sign=True, at_most=90)
     orientation: float | None = number(None, "deg", any_sign=True)
-    matrix: tuple[float, float, float, float] | None = None
+    matrix: tuple[float, ...] | None = field(default=None, metadata={"check": checked_matrix})
     column: int | None = integer(None, 0)
     row: int | None = integer(None, 0)
     metadata: Mapping = field(default_factory=dict)
@@ -155,8 +155,6 @@ class Scene(Value):
 
     def _put_on_sky(self):
         """Take the sky position of the target, and check those of all stars."""
-        if self.matrix is not None:
-            object.__setattr__(self, "matrix", checked_matrix(self.matrix))
         if self.stars[0].coord is not None:
             place = sky_place(self.stars[0].coord, _middle_year(self.motion))
             for name, value in zip(("ra", "dec"), place, strict=True):
