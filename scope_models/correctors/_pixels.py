@@ -178,8 +178,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
     count = max(FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
         noise = np.nan_to_num(np.nanmedian(flux_err[finite], axis=0))
     mean = np.median(values, axis=0)
     light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
@@ -237,8 +236,7 @@ def typical_image(flux):
     """Return the median image, NaN where there are no data."""
     if np.isfinite(flux).all():
         return quantile(np.moveaxis(flux, 0, -1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without data
         return np.nanmedian(flux, axis=0)
 
 
@@ -371,8 +369,7 @@ def _compare_pipeline(series, aperture, usable, own):
     other = series.aperture & (own | aperture)
     if not other.any() or other.all() or (other == aperture).all():
         return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without data
         image = np.nan_to_num(np.nanmedian(series.flux[usable], axis=0))
     inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
     if inside < whole / 2:
@@ -456,8 +453,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
         pos_corr = np.full((len(use), 2), np.nan)
     error = pixels.flux_err[use][:, known]
     error = np.where(error > 0, error, np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
         typical = np.nanmedian(error, axis=0)
     typical[np.isnan(typical)] = np.nanmedian(typical)
     error = np.where(np.isnan(error), typical, error)

@@ -558,8 +558,7 @@ class PLDFit:
         model = self.model
         source = model.source.dimmed(np.exp(column), model.clean)
         options = replace(model.options, fractions=self._fractions)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DetrendingWarning)
+        with warnings.catch_warnings(action="ignore", category=DetrendingWarning):
             again = type(model).from_pixels(
                 source.pixels, options, source.series, source.cadence_mask
             )

@@ -207,8 +207,7 @@ def _lightkurve(tpf, aperture, options):
     state = np.random.get_state()  # noqa: NPY002 (its principal components draw from it)
     np.random.seed(0)  # noqa: NPY002
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             found = LightkurveCorrector(tpf, aperture_mask=aperture)
             lc = found.correct(cadence_mask=use)
     finally:
