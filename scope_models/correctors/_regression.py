@@ -28,7 +28,7 @@ _SPREAD = 2.0
 _EXCESS = 0.1
 #: Tolerance: twice as many cadences are averaged before the search: what is slow and how strong
 #: each group is shows in the means.
-_ENOUGH = 4000
+_ENOUGH = 1500
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
 #: Tolerance: steps of a search at most.
