@@ -52,6 +52,7 @@ class DesignOptions:
     extra: dict = field(default_factory=dict)  # further groups: columns by name, NaN where unknown
     most: int | None = None  # largest number of columns per order
     mask: np.ndarray | None = None  # whose fractions are regressors; None: the aperture
+    predicted: bool = False  # whether fractions are, whose coefficients have expected sizes
 
 
 def make_regressors(pixels, use, options):
@@ -73,12 +74,14 @@ def make_regressors(pixels, use, options):
     first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)[:, :most]
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
-        columns, _ = power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)
-        if n == 2:  # responses within pixels have much in common
-            columns = np.concatenate([columns, shared_columns(images, _REACH)], axis=1)
-        columns = center(columns, use)
-        columns = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
-        parts[f"order {n}"] = columns[:, :most]
+        groups = {f"order {n}": power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)[0]}
+        if n == 2:
+            groups["shared"] = shared_columns(images, _REACH)
+            if options.predicted:  # responses within pixels have much in common
+                groups = {"order 2": np.concatenate([*groups.values()], axis=1)}
+        for name, products in groups.items():
+            columns = principal_columns(center(products, use), use, _HIGHER_TOLERANCE * noise)
+            parts[name] = columns[:, :most]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():

@@ -215,8 +215,9 @@ class PLDModel:
             pixels = pixels.weighted
         time = pixels.time[use & pixels.usable]
         breaks = tuple(b for b in options.segments if time[0] < b <= time[-1])
+        most, predicted = options.pca_components or None, clean is not None
         design = DesignOptions(
-            options.order, saturation, breaks, extra, options.pca_components or None, regressor_mask
+            options.order, saturation, breaks, extra, most, regressor_mask, predicted
         )
         return cls(pixels, options, design, clean, source)
 

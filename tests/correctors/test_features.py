@@ -129,3 +129,15 @@ def test_contrasts_are_copies_without_their_common_part(fractions, breaks):
     kernel = fractions @ fractions.T
     copies = kernel * (segment[:, None] == segment)
     np.testing.assert_allclose(columns @ columns.T, copies - kernel / k, atol=1e-14)
+
+
+@pytest.mark.parametrize(("predicted", "groups"), [(True, ()), (False, ("shared",))])
+def test_shared_products_of_measured_fractions_are_a_group(fractions, predicted, groups):
+    """They follow the width; those of predicted ones have the prior of all products."""
+    pixels = Pixels(
+        np.arange(80.0), fractions.reshape(80, 1, 5), np.full((80, 1, 5), 1e-3),
+        np.ones((1, 5), dtype=bool), np.ones(80), np.full(80, 1e-4), np.ones(80, dtype=bool),
+    )  # fmt: skip
+    options = DesignOptions(2, predicted=predicted)
+    found = make_regressors(pixels, np.ones(80, dtype=bool), options)
+    assert found.names == ("order 1", "order 2", *groups)
