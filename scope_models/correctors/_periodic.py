@@ -177,9 +177,12 @@ def find_waves(solution, allowed):
 
 
 def _fitter(solution, trial):
-    """Return the function from waves to their fits with the variances and cadences of a trial."""
+    """Return the function from waves to their fits with the variances and cadences of a trial.
+
+    It keeps two, which is what a step compares: a fit of many waves takes 100 MB.
+    """
     plain = replace(solution, hyper=trial.hyper)
-    return lru_cache(maxsize=4)(partial(plain.with_waves, use=trial.use))
+    return lru_cache(maxsize=2)(partial(plain.with_waves, use=trial.use))
 
 
 def _with_series(waves, fit, n_most):
