@@ -10,20 +10,16 @@ from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
 from scope_models._threads import one_thread
 from scope_models.correctors._pixels import (
-    OTHER_STAR,
     Pixels,
     at_one_place,
     background_plane,
-    own_pixels,
     typical_image,
 )
+from scope_models.correctors._stars import SHARE_ERROR, NoLightError, blend_of, star_share, stars_of
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
-from scope_models.pixelmodel._star import IMAGE_ERROR
-from scope_models.pixelmodel._start import NEAREST, NoLightError, fit_gaussians
 
 __all__ = [
-    "SHARE_ERROR",
     "Source",
     "box_signal",
     "checked_depth",
@@ -34,10 +30,6 @@ __all__ = [
     "warn_of_unmasked",
 ]
 
-#: Prior: relative error of profile and image when the light is shared out.
-SHARE_ERROR = 0.03
-#: Tolerance: times that it is shared out, and number of places that are tried for another star.
-_ROUNDS, _MOST_PLACES = 6, 12
 #: Warning: part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
 #: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
@@ -55,20 +47,27 @@ class Source:
     @cached_property
     def _image(self):
         """Typical image less background, its background, and the star's share in each pixel."""
-        pixels = self.pixels
+        pixels, places = self.pixels, self.series.pos_corr
         typical = typical_image(pixels.flux[pixels.usable])
         plane = background_plane(typical)
-        image = np.nan_to_num(typical - plane)
-        if pixels.own is None or not pixels.own.all():
-            return image, plane, _star_share(image, pixels.core)
-        still, places = image, self.series.pos_corr
+        image, share = np.nan_to_num(typical - plane), np.ones(typical.shape)
+        still, full = image, self.series.mission and self.series.mission.full_flux
         if places is not None and np.isfinite(places[pixels.usable]).any():
             still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
             still = np.nan_to_num(still - plane)
-        full = self.series.mission and self.series.mission.full_flux
-        if full is not None and still.max() >= full:  # charge that has bled looks like a star
-            return image, plane, np.ones(image.shape)
-        return image, plane, _blended_share(still, pixels.core)
+        alone = pixels.own is None or pixels.own.all()
+        if alone and full is not None and still.max() >= full:
+            return image, plane, share  # charge that has bled looks like a star
+        try:
+            if alone:
+                stars = blend_of(still, pixels.core)
+            else:
+                stars = stars_of(still, pixels.core, ~pixels.own)
+            if len(stars) > 1:
+                share = star_share(image, stars)
+        except NoLightError:
+            pass
+        return image, plane, share
 
     @property
     def share(self):
@@ -106,92 +105,6 @@ class Source:
         total, _ = aperture_flux(flux, weights, pixels.flux_err)
         usable = pixels.usable & (np.nan_to_num(total) > 0)
         return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
-
-
-def _star_share(image, core):
-    """Return the star's share in each pixel of an image without background."""
-    peak = int(np.argmax(np.where(core, image, -np.inf)))
-    stars = [own_pixels(image, peak)]
-    left = ~stars[0]
-    while left.any():
-        other = int(np.argmax(np.where(left, image, -np.inf)))
-        if image.flat[other] < OTHER_STAR * image.flat[peak]:
-            break
-        stars.append(own_pixels(image, other) & left)
-        left &= ~stars[-1]
-    if len(stars) == 1:
-        return np.ones(image.shape)
-    places = [_center(np.where(star, image, 0.0)) for star in stars]
-    try:
-        return _shared_out(image, places, stars[0])[0]
-    except NoLightError:
-        return stars[0].astype(float)
-
-
-def _shared_out(image, places, near):
-    """Share the light of an image without background out between stars of one profile.
-
-    The profile is first learned from the first star's pixels, ``near``. Returns this star's share
-    in each pixel, and what the stars leave of the image, in standard deviations.
-    """
-    rows, columns = np.indices(image.shape)
-    distances = [(columns - x, rows - y) for x, y in places]
-    total = image[near].sum()
-    if not total > 0:
-        raise NoLightError("the pixels of `tpf` hold no light near the target")
-    own = np.where(near, image, 0.0)
-    error = 1 / (SHARE_ERROR * np.abs(image) + IMAGE_ERROR * total).ravel()
-    for _ in range(_ROUNDS if len(places) > 1 else 1):
-        values = own[near] / total
-        u, v = (d[near] for d in distances[0])
-        profile = fit_gaussians(u, v, values, 1 / (SHARE_ERROR * np.abs(values) + IMAGE_ERROR))
-        light = np.stack([profile(*d).ravel() for d in distances], axis=1)
-        found = np.linalg.lstsq(light * error[:, None], image.ravel() * error, rcond=None)[0]
-        light *= np.maximum(found, 0.0)
-        share = (light[:, 0] / np.maximum(light.sum(axis=1), 1e-12 * total)).reshape(image.shape)
-        own = image * share
-        near = np.ones_like(near)
-    return share, (image - light.sum(axis=1).reshape(image.shape)) * error.reshape(image.shape)
-
-
-def _blended_share(image, core):
-    """Return the star's share in each pixel where another one has no peak of its own.
-
-    A second star is there if one profile, which may be elliptical but is the same on both sides,
-    does not describe the image within its error, and two of them leave less than half.
-    """
-    alone, whole = np.ones(image.shape), np.ones(image.shape, dtype=bool)
-    star = _center(np.where(core, image, 0.0))
-    try:
-        misfit = _shared_out(image, [star], whole)[1]
-    except NoLightError:
-        return alone
-    least = np.mean(misfit**2)
-    if least < 1:
-        return alone
-    share, least = alone, least / 2
-    rows, columns = np.indices(image.shape)
-    far = np.hypot(columns - star[0], rows - star[1]) > NEAREST
-    bright = far & (image > OTHER_STAR * image.max())
-    order = np.argsort(np.where(bright, -misfit, np.inf), axis=None)
-    for other in order[: min(bright.sum(), _MOST_PLACES)]:
-        place = other % image.shape[1], other // image.shape[1]
-        try:
-            trial, misfit = _shared_out(image, [star, place], whole)
-        except NoLightError:
-            continue
-        if np.mean(misfit**2) < least:
-            share, least = trial, np.mean(misfit**2)
-    return share
-
-
-def _center(image):
-    """Return column and row of the center of light of the 3 x 3 pixels about the peak."""
-    row, column = np.unravel_index(np.argmax(image), image.shape)
-    rows, columns = np.indices(image.shape)
-    near = (np.abs(rows - row) <= 1) & (np.abs(columns - column) <= 1)
-    weight = np.where(near, np.maximum(image, 0.0), 0.0)
-    return (weight * columns).sum() / weight.sum(), (weight * rows).sum() / weight.sum()
 
 
 def box_signal(used, width, depth):

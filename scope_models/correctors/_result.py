@@ -11,7 +11,6 @@ from scipy import ndimage
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
 from scope_models.correctors._injection import (
-    SHARE_ERROR,
     box_signal,
     checked_depth,
     depth_ratio,
@@ -22,6 +21,7 @@ from scope_models.correctors._injection import (
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION
 from scope_models.correctors._solution import Solution
+from scope_models.correctors._stars import SHARE_ERROR
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smoothing import TRANSIT
 

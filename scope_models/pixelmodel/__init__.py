@@ -1,3 +1,3 @@
-"""The model of a star's pixels: its light, positions and widths, and its neighbors."""
+"""The model of a star's pixels: its light, positions and widths."""
 
 __all__ = []

@@ -157,13 +157,13 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
 def _converged(stamp, states):
     """Fit images and cadences by turns; return both.
 
-    If no light is seen that is constant beside a star that varies strongly, there is none.
+    If no light is seen that is constant beside a star that varies strongly, there is none, but for
+    a trace that positions must not follow.
     """
     states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES))
     if states.variable.any():
         images = _images(stamp, states, shape, stamp.functions(states.position))
         if not _constant_light(stamp, images, shape.error):
-            states = replace(states, variable=np.zeros_like(states.variable))
             states, shape = _by_turns(stamp, states, shape, alone=True)
     return states, shape
 
@@ -172,8 +172,8 @@ def _by_turns(stamp, states, shape, *, alone=False):
     """Fit images and cadences by turns, a star ``alone`` without constant light."""
     for _ in range(_MOST_STEPS):
         before, functions = states, stamp.functions(states.position)
-        shape = _fit_shape(stamp, states, shape, functions)
-        states, errors, shape = _fit_states(stamp, states, shape, functions, alone=alone)
+        shape = _fit_shape(stamp, states, shape, functions, alone=alone)
+        states, errors, shape = _fit_states(stamp, states, shape, functions)
         moved = [
             np.abs(new - old) / error
             for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
@@ -188,7 +188,7 @@ def _courses(states):
     return states.brightness, *states.position.T, states.focus
 
 
-def _fit_shape(stamp, states, shape, functions):
+def _fit_shape(stamp, states, shape, functions, *, alone=False):
     """Fit the functions of position of all pixels at once: ridge regression.
 
     Widths have images of their own once those of the star are known.
@@ -198,7 +198,7 @@ def _fit_shape(stamp, states, shape, functions):
     parts, sizes = {}, dict(shape.sizes)
     if len(shape.main):
         parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
-    if states.variable.any():
+    if states.variable.any() and not alone:
         parts["constant"] = -states.variable[:, None] * coarse
     columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
     first = np.cumsum([0, *(part.shape[1] for part in columns)])
@@ -290,7 +290,7 @@ def _rest(stamp, states, images):
     return rest
 
 
-def _fit_states(stamp, states, shape, functions, *, alone=False):
+def _fit_states(stamp, states, shape, functions):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
     The focus has a smooth course, and all else is the most likely at this. Return the states, the
@@ -329,7 +329,7 @@ def _fit_states(stamp, states, shape, functions, *, alone=False):
     by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
     brightness, position = states.brightness + change[0], states.position + change[1:3].T
     plane, variable = states.plane + change[4:].T, states.variable
-    if late and not alone:
+    if late:
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]

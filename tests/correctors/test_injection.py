@@ -7,7 +7,8 @@ import pytest
 
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._injection import _star_share, box_signal
+from scope_models.correctors._injection import box_signal
+from scope_models.correctors._stars import star_share, stars_of
 from scope_models.exceptions import DetrendingWarning
 
 NOISY = pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -66,14 +67,17 @@ def test_the_star_s_share_of_a_typical_image():
         return np.exp(-square / 1.1) + 0.02 / (1 + square / 2) ** 2
 
     mine, others = star(3.2, 4.1), 0.6 * star(6.3, 4.4) + 0.15 * star(4.0, 7.9)
-    share = _star_share(mine + others, np.hypot(columns - 3, rows - 4) < 2)
+    core, nowhere = np.hypot(columns - 3, rows - 4) < 2, np.zeros(mine.shape, dtype=bool)
+    places = stars_of(mine + others, core, nowhere)
+    np.testing.assert_allclose(places, [(3.2, 4.1), (6.3, 4.4), (4.0, 7.9)], atol=0.1)
+    share = star_share(mine + others, places)
     lit = mine + others > 0.02
     np.testing.assert_allclose((share * (mine + others))[lit], mine[lit], atol=0.015)
     for mask in (np.hypot(columns - 3, rows - 4) < 2, np.hypot(columns - 3, rows - 4) < 3.2):
         whole = (mine + others)[mask].sum()
         part = (share * (mine + others))[mask].sum() / whole
         assert part == pytest.approx(mine[mask].sum() / whole, abs=0.015)
-    assert (_star_share(mine, mine > 0.1) == 1).all()
+    assert len(stars_of(mine, mine > 0.1, ~nowhere)) == 1
 
 
 @NOISY
