@@ -35,7 +35,7 @@ _SEEN, _PARTS = 3.0, 10
 #: official PRFs of TESS (camera 2, CCD 3), to 5 % without.
 _GAUSSIANS, _ORDER, _EMPIRICAL = ((0.7, 0.5), (0.3, 1.1)), 6, (6e-4, 0.75)
 #: Tolerance: cadences that show the PSF, and steps of each stage of its fit at most.
-_FEW, _STEPS = 150, 15
+_FEW, _STEPS = 100, 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         else:
             stars = _found(image, pixels, everywhere)
         few = np.flatnonzero(use)
-        found = _separated(near[few[:: max(len(few) // _FEW, 1)]], stars, given=given)
+        found = _separated(near[few[:: -(-len(few) // _FEW)]], stars, given=given)
         if found is None:
             return None
         prf, stars, fluxes = found
