@@ -311,7 +311,7 @@ def test_given_neighbors_are_where_they_are_given(neighbor, tmp_path):
         Table({"ra": [other.ra.deg], "dec": [other.dec.deg]}),
     ):  # fmt: skip
         known = PLDCorrector(tpf, neighbors=given)._neighbors
-        np.testing.assert_allclose(known, place, atol=0.3)  # where the fit, which moves them, begins
+        np.testing.assert_allclose(known, place, atol=0.3)  # where the fit begins
     again = corrected(sky, neighbors=other).result.neighbors
     np.testing.assert_allclose([again[k][0].value for k in "xy"], place[0], atol=0.15)
     truth = np.nanmean(sky.neighbor_light, axis=0).sum()
