@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
+from scope_models.correctors._crowd import PLACE, WIDTH, Crowd, CrowdPixels, learn, track
 from scope_models.correctors._pixels import at_one_place, typical_image, without_background
 from scope_models.correctors._stars import NEAREST, SHARE_ERROR, center_of_light, stars_of
 from scope_models.exceptions import DetrendingWarning
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
-from scope_models.models import PRF, BivariateGaussianPSF, GaussHermitePSF
+from scope_models.models import BivariateGaussianPSF
 from scope_models.pixelmodel._position import nearness, polynomials
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 
@@ -29,13 +30,9 @@ _TARGET_ITSELF, _FARTHEST = 0.3, 5.0
 _VARIES = 0.02 * 0.05
 #: Branch: standard deviations of what counts as seen, by a jackknife of so many parts of the time.
 _SEEN, _PARTS = 3.0, 10
-#: Prior: the PSF is two Gaussians of these parts of the light and widths (px), to begin with, and
-#: an empirical term of this order and width, whose coefficients have standard deviations of ten
-#: times this part: with them the light of a neighbor 2 px away is right to 0.7 % of the star's for
-#: official PRFs of TESS (camera 2, CCD 3), to 5 % without.
-_GAUSSIANS, _ORDER, _EMPIRICAL = ((0.7, 0.5), (0.3, 1.1)), 6, (6e-4, 0.75)
-#: Tolerance: cadences that show the PSF, and steps of each stage of its fit at most.
-_FEW, _STEPS = 100, 15
+#: Tolerance: light and widths (px) of the Gaussians with which the PSF begins, and cadences that
+#: show it.
+_GAUSSIANS, _FEW = ((0.7, 0.5), (0.3, 1.1)), 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,42 +137,83 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         pos_corr = np.where(known[:, None], pos_corr, np.nan) if known[use].any() else None
     flux = np.full(pixels.flux.shape, np.nan)
     flux[usable] = without_background(pixels.flux[usable])
-    everywhere = isinstance(neighbors, str)
-    if neighbors is None:
-        light = flux[usable][:, pixels.aperture]
-        everywhere = _holds_constant_light(light, None if pos_corr is None else pos_corr[usable])
+    inside, known = flux[usable][:, pixels.aperture], None if pos_corr is None else pos_corr[usable]
+    constant = np.zeros(1) if neighbors is not None else _constant_light(inside, known)
+    everywhere = isinstance(neighbors, str) or np.abs(constant).max() > _SEEN
     if not (given or everywhere) and pixels.own.all():
         return None
-    far = np.ones(flux.shape[1:], dtype=bool)
-    far[pixels.near] = False
-    flux[:, far] = np.nan
-    near = series.replace(flux=flux, flux_err=pixels.flux_err, pos_corr=pos_corr)
     image = typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
     image = np.nan_to_num(image)
+    box = pixels.near
+    corner = np.array([box[1].start, box[0].start])
+    far = np.ones(image.shape, dtype=bool)
+    far[box] = False
+    flux[:, far], image[far] = np.nan, 0.0
+    few = np.flatnonzero(use)
+    few = few[:: -(-len(few) // _FEW)]
     try:
         if given:
             stars = np.vstack([center_of_light(image, pixels.core), neighbors])
         else:
             stars = _found(image, pixels, everywhere)
-        few = np.flatnonzero(use)
-        found = _separated(near[few[:: -(-len(few) // _FEW)]], stars, given=given)
-        if found is None:
+        series = series.replace(flux=flux, flux_err=pixels.flux_err, pos_corr=pos_corr)
+        fit = _first_fit(series[few], stars, given=given)
+        if fit is None:
             return None
-        prf, stars, fluxes = found
-        fit = _fit(near[usable], stars, prf)
+        data = _with_priors(fit, series, pos_corr, few, box)
+        crowd = learn(_first_crowd(fit, data), data[few])
+        states, others = track(crowd, data[usable])
     except (ValueError, np.linalg.LinAlgError):
         if not given:
             return None
         message = "the target and the given `neighbors` do not describe the pixels"
         raise ValueError(message) from None
-    fitted = usable & np.isin(series.cadenceno, fit.cadenceno)
     light, positions = np.zeros(flux.shape), np.full((len(flux), 2), np.nan)
-    positions[fitted] = np.column_stack([fit.x, fit.y])
-    for one, (dx, dy) in zip(fluxes, stars[1:] - stars[0], strict=True):
-        light[fitted] += one * prf.unit_images(fit.shape, fit.x + dx, fit.y + dy)
-    places, units = stars[1:] + _center_of(prf), ("electron / s", "pix", "pix")
-    table = QTable([fluxes, *places.T], names=("flux", "x", "y"), units=units)
+    light[np.ix_(usable, ~far.all(axis=1), ~far.all(axis=0))] = others
+    positions[usable] = corner + states[:, 1:3]
+    if neighbors is None and pixels.own.all():  # what is taken off must be the light that was seen
+        left = _constant_light(inside - light[usable][:, pixels.aperture], known)
+        if np.sum(left**2) > np.sum(constant**2):
+            return None
+    total, center = crowd.sum_and_center()
+    places = np.median(positions[use], axis=0) + crowd.away + center
+    units = ("electron / s", "pix", "pix")
+    table = QTable([total * crowd.fluxes, *places.T], names=("flux", "x", "y"), units=units)
     return NeighborLight(table, light, positions)
+
+
+def _first_crowd(fit, pixels):
+    """Return the stars as a fit of Gaussians has them."""
+    places = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
+    fluxes = np.maximum([star.flux[0] for star in fit.neighbors], 1e-4 * np.median(fit.flux))
+    return Crowd.first(fit.model, pixels.flux.shape[1:], fluxes, places[1:] - places[0])
+
+
+def _with_priors(fit, series, pos_corr, few, box):
+    """Return the pixels of a box, with what a fit to a few cadences expects of all.
+
+    Positions follow POS_CORR, or else centers of light.
+    """
+    flux, error = series.flux[:, *box], series.flux_err[:, *box]
+    good = np.isfinite(flux) & (error > 0)
+    flux, error = np.where(good, flux, 0.0), np.where(good, error, np.inf)
+    offset = pos_corr
+    if pos_corr is None:
+        light = np.maximum(flux, 0.0)
+        total = np.maximum(light.sum(axis=(1, 2)), 1e-300)
+        sums = (light.sum(axis=axis) @ np.arange(light.shape[3 - axis]) for axis in (1, 2))
+        offset = np.stack(list(sums), axis=1) / total[:, None]
+    offset = np.where(np.isfinite(offset), offset, np.nanmedian(offset[few], axis=0))
+    columns = np.column_stack([np.ones(len(offset)), offset])
+    seen = few[np.isin(series.time[few], fit.time)]
+    places = np.column_stack([fit.x, fit.y]) - [box[1].start, box[0].start]
+    typical = np.median(fit.flux)
+    expected = np.zeros((len(flux), 5))
+    expected[:, 0] = typical
+    expected[:, 1:3] = columns @ np.linalg.lstsq(columns[seen], places, rcond=None)[0]
+    place = PLACE if pos_corr is None else POSITION_PRIOR
+    sigma = np.broadcast_to([typical, place, place, WIDTH, typical], expected.shape)
+    return CrowdPixels(flux, error, expected, sigma)
 
 
 def _found(image, pixels, everywhere):
@@ -192,65 +230,36 @@ def _found(image, pixels, everywhere):
     return stars
 
 
-def _separated(series, stars, *, given):
-    """Return a PRF whose shape is fixed, the places of all stars, and fluxes of the neighbors.
+def _first_fit(series, stars, *, given):
+    """Fit two Gaussians at the places of all stars; None if there is only one.
 
     Neighbors that are not ``given`` and end up at another star or without light were bumps of the
-    PSF. None is returned if there are no others.
+    PSF. All but the first star are of constant flux.
     """
+    moves = series.pos_corr is not None and np.nanstd(series.pos_corr, axis=0).all()
+    options = FitOptions(neighbor_flux="constant", saturation=False, position_error=POSITION_PRIOR)
+    psf = reduce(add, (BivariateGaussianPSF(part, 0, 0, s, s) for part, s in _GAUSSIANS))
     while len(stars) > 1:
-        fit = _fit(series, stars, _first_prf())
-        both = fit, *fit.neighbors
-        stars = np.array([np.median([star.x, star.y], axis=1) for star in both])
-        fluxes = np.array([np.median(star.flux) for star in both])
-        kept = (np.hypot(*(stars - stars[0]).T) > NEAREST) & (fluxes > 0) | given
+        with warnings.catch_warnings(action="ignore"):
+            fit = fit_tpf(
+                series, psf, stars=stars, positions="prior" if moves else "free", response="psf",
+                interpixel=0.0, options=options, progress=False,
+            )  # fmt: skip
+        places = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
+        fluxes = np.array([np.median(star.flux) for star in (fit, *fit.neighbors)])
+        kept = (np.hypot(*(places - places[0]).T) > NEAREST) & (fluxes > 0) | given
         kept[0] = True
         if kept.all():
-            prf = fit.model.copy()
-            for name in prf.param_names:
-                getattr(prf, name).fixed = True
-            return prf, stars, np.maximum(fluxes[1:], 0.0)
-        stars = stars[kept]
+            return fit
+        stars = places[kept]
     return None
 
 
-def _center_of(prf):
-    """Return the center of light of a PRF, relative to its place."""
-    image = prf.unit_images((41, 41), [20.0], [20.0])[0]
-    rows, columns = np.indices(image.shape)
-    return np.array([np.sum(image * columns), np.sum(image * rows)]) / image.sum() - 20
-
-
-def _first_prf():
-    """Return the PRF from which a fit begins."""
-    psf = reduce(add, (BivariateGaussianPSF(part, 0, 0, s, s) for part, s in _GAUSSIANS))
-    part, width = _EMPIRICAL
-    prf = PRF(psf + GaussHermitePSF(part, 0, 0, width, width, order=_ORDER))
-    for name in ("sigma_x_2", "sigma_y_2", "flux_fraction_2"):
-        getattr(prf, name).fixed = True
-    for name in ("x_offset_1", "y_offset_1"):
-        getattr(prf, name).fixed = False
-    return prf
-
-
-def _fit(series, stars, prf):
-    """Fit a PRF to stars, of which all but the first are of constant flux."""
-    moves = series.pos_corr is not None and np.nanstd(series.pos_corr, axis=0).all()
-    options = FitOptions(
-        neighbor_flux="constant", saturation=False, position_error=POSITION_PRIOR, max_steps=_STEPS
-    )
-    with warnings.catch_warnings(action="ignore"):
-        return fit_tpf(
-            series, prf, stars=stars, positions="prior" if moves else "free", response="psf",
-            interpixel=0.0, options=options, progress=False,
-        )  # fmt: skip
-
-
-def _holds_constant_light(light, pos_corr):
-    """Return whether a star varies, and pixels of its aperture, ``(n, m)``, hold constant light.
+def _constant_light(light, pos_corr):
+    """Return the constant light in pixels of an aperture, ``(n, m)``, over its error, ``(m,)``.
 
     A star's pixels are its light times functions of position. Centroids follow constant light, so
-    that only POS_CORR counts. The star varies if that is more than errors of POS_CORR make.
+    that only POS_CORR counts. Stars that vary by no more than errors of POS_CORR make show none.
     """
     light = np.nan_to_num(light)
     total = light.sum(axis=1)
@@ -262,11 +271,12 @@ def _holds_constant_light(light, pos_corr):
         offset = pos_corr[known] - np.median(pos_corr[known], axis=0)
         functions = polynomials(offset / max(np.abs(offset).max(), 1e-9))
     columns = np.column_stack([np.ones(len(total)), functions * total[:, None]])
+    none = np.zeros(light.shape[1])
     if len(total) < _PARTS * columns.shape[1]:
-        return False
+        return none
     rest = total - functions @ np.linalg.lstsq(functions, total, rcond=None)[0]
     if np.var(rest) - np.mean(np.diff(rest) ** 2) / 2 < _VARIES**2:
-        return False
+        return none
     parts = np.array_split(np.arange(len(columns)), _PARTS)
     gram = np.array([columns[k].T @ columns[k] for k in parts])
     right = np.array([columns[k].T @ light[k] for k in parts])
@@ -274,4 +284,4 @@ def _holds_constant_light(light, pos_corr):
     constant = np.linalg.solve(gram.sum(axis=0) + ridge, right.sum(axis=0))[0]
     without = np.linalg.solve(gram.sum(axis=0) - gram + ridge, right.sum(axis=0) - right)[:, 0]
     error = np.sqrt((1 - 1 / _PARTS) * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
-    return bool((np.abs(constant) > _SEEN * error).any())
+    return constant / np.maximum(error, 1e-300)

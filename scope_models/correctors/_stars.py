@@ -13,7 +13,7 @@ __all__ = [
 
 #: Prior: relative error of profile and image.
 SHARE_ERROR = 0.03
-#: Branch: least distance of stars that can be told apart (px), and largest number of stars.
+#: Branch: least distance of separate stars (px), and largest number of stars.
 NEAREST, _MOST = 1.4, 7
 #: Branch: what stars leave is another one if it is so many times their light there.
 _OVER_STAR = 0.7
@@ -37,17 +37,20 @@ def stars_of(image, core, elsewhere):
     Stars have peaks of their own, or hold most of the light ``elsewhere``. Returned is an array
     ``(k, 2)``, columns and rows.
     """
-    stars = _with_peaks(image, core)
-    places = np.array([center_of_light(image, star) for star in stars])
+    places = [center_of_light(image, star) for star in _with_peaks(image, core)]
+    light, places, _ = _fit(image, places)
     while len(places) < _MOST:
-        light, places, _ = _fit(image, places)
         light = light.sum(axis=0)
         rest = np.where(elsewhere & _away(image, places), image - light, 0.0)
         star = (rest > _OVER_STAR * light) & (rest > OTHER_STAR * image.max())
         if not star.any():
             break
         place = np.unravel_index(np.argmax(rest * star), image.shape)[::-1]
-        places = np.vstack([places, place])
+        light, moved, _ = _fit(image, np.vstack([places, place]))
+        row, column = np.clip(np.rint(moved[-1, ::-1]).astype(int) + 1, 0, np.add(image.shape, 1))
+        if not np.pad(elsewhere, 1)[row, column]:
+            break
+        places = moved
     return places
 
 

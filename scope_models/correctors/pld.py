@@ -276,7 +276,17 @@ class PLDCorrector(LightkurveNames, Corrector):
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
             return pixels, series
         found = light_of_neighbors(pixels, series, mask, given)
-        return (pixels, series) if found is None else without_neighbors(pixels, series, found)
+        if found is None:
+            return pixels, series
+        alone = without_neighbors(pixels, series, found)
+        if alone[0].lit.sum() > (pixels.usable & pixels.lit).sum() / 2:
+            return alone
+        message = (
+            "the aperture holds hardly any light of the star at the file's coordinates: give "
+            "`aperture_mask`; the light of other stars stays in the flux"
+        )
+        warnings.warn(message, DetrendingWarning, stacklevel=3)
+        return pixels, series
 
     def _fitted(self):
         """Return the last fit, or raise an error."""
