@@ -8,7 +8,7 @@ from astropy.stats import mad_std
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
-from scope_models.correctors._saturation import find_row_centers, without_saturation
+from scope_models.correctors._saturation import find_row_centers, rows_of_star, without_saturation
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
@@ -19,7 +19,6 @@ from scope_models.pixelmodel._position import (
     FEWEST_DARK,
     dark_plane,
     nearness,
-    polynomials,
     precise_aperture,
 )
 from scope_models.pixelmodel._smoothing import CLIP, quantile
@@ -484,11 +483,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
     cube[:, known] = clean.still * light[:, None]
-    if full.any():  # rows that follow the position follow no variability beside other stars
+    if full.any():
         inside, learned = pixels.aperture & known, learned[use]
         centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
-        places = polynomials(clean.position)
-        centers = places @ np.linalg.lstsq(places[learned], centers[learned], rcond=None)[0]
+        centers = rows_of_star(centers, clean.position, clean.variable, learned)
         cube = without_saturation(cube, full, centers, inside)
     flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)

@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.special import ndtr
 
-__all__ = ["find_row_centers", "without_saturation"]
+from scope_models.pixelmodel._position import polynomials
+
+__all__ = ["find_row_centers", "rows_of_star", "without_saturation"]
 
 #: Prior: standard deviation in pixels of the Gaussian that stands for the star along a full column:
 #: Kepler's PRF has 0.45 of its light in one pixel, as one of 0.5 px (Kepler telescope page); wings
@@ -61,3 +63,16 @@ def find_row_centers(images, aperture, use, saturation):
     right = np.einsum("ij,ijk->k", (weight * (center - row))[use], tilt[use])
     h = np.linalg.solve(normal, right)
     return row + tilt @ h - (mean @ h)[:, None]
+
+
+def rows_of_star(centers, position, variable, use):
+    """Return centers of light ``(n_cadences, nx)`` without what follows a star that varies.
+
+    Beside another star they do so, to the second order of the star's ``variable`` part, and by
+    functions of its position, ``(n_cadences, 2)``. These are learned from the cadences in ``use``.
+    """
+    places, v = polynomials(position), variable[:, None]
+    varies = np.concatenate([v * places, v**2 * places], axis=1)
+    causes = np.concatenate([varies, places], axis=1)
+    follows = np.linalg.lstsq(causes[use], centers[use], rcond=None)[0]
+    return centers - varies @ follows[: varies.shape[1]]

@@ -12,15 +12,15 @@ with the brightness a, the position x, the relative width w and the background c
 cadence, and smooth functions of position G, W, Q and N of each pixel. Over the aperture G adds up
 to 1, the others to nothing. N is the difference between the constant light and the star's in the
 image; it counts only where the star itself varies strongly (v). The variance of N is the most
-likely one (MacKay 1992, Neural Computation, 4, 415). Images and cadences are fitted in turn. The
-light is the sum over the aperture; what this model misses in each pixel shows how it errs.
+likely one (MacKay 1992, Neural Computation, 4, 415). W is expected to be what flows into the pixels
+as the PSF widens. Images and cadences are fitted in turn. The light is the sum over the aperture;
+what this model misses in each pixel shows how it errs.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scope_models.pixelmodel._position import ENOUGH
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
@@ -32,8 +32,8 @@ IMAGE_ERROR = 1e-3
 #: Prior: standard deviation of the relative width of the PSF, that of seeing at a good site.
 _WIDTH_PRIOR = 0.2
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
-#: width changes the center of a Gaussian PSF by 2, its square by 3. The data give that of constant
-#: light; this is where it begins.
+#: width changes the center of a Gaussian PSF by 2, its square by 3; what flows over the pixels'
+#: edges is an estimate. The data give that of constant light; this is where it begins.
 _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 #: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
 #: positions and width are less than these parts of their errors, of the width that of its course
@@ -74,6 +74,7 @@ class StarModel:
     outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
     background: np.ndarray  # e-/s, (n, n_pixels)
     position: np.ndarray  # relative to the median, px, (n, 2)
+    variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
     focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
     constant: float  # part of the light that does not vary with the star, at least
     misfit: np.ndarray  # what pixels show beyond the model, over the light, 0 outside (n, n_pixels)
@@ -103,6 +104,7 @@ class _Shape:
     main: np.ndarray  # of the functions of position, (rank, n_pixels)
     changes: dict  # of the coarse functions, by the names of `_CHANGES`; empty at first
     sizes: dict  # their standard deviations, as in `_CHANGES`
+    flow: float = 1.0  # what flows as the PSF widens, in the expectation of the width's images
     error: np.ndarray | float = 0.0  # of the mean of N, (n_pixels,)
     doubt: np.ndarray | float = 0.0  # variance of the model's light, (n, n_pixels)
 
@@ -115,6 +117,7 @@ class _Images:
     whole: np.ndarray  # with the width of each cadence
     slopes: list  # derivatives by x, y and width
     constant: np.ndarray | float  # N
+    wider: np.ndarray  # what flows into pixels as the PSF widens, (n, n_pixels)
 
 
 def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded=None,
@@ -149,31 +152,33 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
     _, basis, coarse = stamp.functions(states.position)
     if basis.shape[1] + 2 * coarse.shape[1] > _MOST_OWN * stamp.use.sum():
         return None
-    states, shape = _converged(stamp, states)
-    images = _images(stamp, states, shape, stamp.functions(states.position))
+    states, shape, images = _converged(stamp, states)
     return _result(stamp, states, images, flux_err, shape.error)
 
 
 def _converged(stamp, states):
-    """Fit images and cadences by turns; return both.
+    """Fit images and cadences by turns; return states, shape and images.
 
     If no light is seen that is constant beside a star that varies strongly, there is none, but for
     a trace that positions must not follow.
     """
     states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES))
-    if states.variable.any():
+    images = _images(stamp, states, shape, stamp.functions(states.position))
+    if states.variable.any() and not _constant_light(stamp, images, shape.error):
+        states, shape = _by_turns(stamp, states, shape, images, alone=True)
         images = _images(stamp, states, shape, stamp.functions(states.position))
-        if not _constant_light(stamp, images, shape.error):
-            states, shape = _by_turns(stamp, states, shape, alone=True)
-    return states, shape
+    return states, shape, images
 
 
-def _by_turns(stamp, states, shape, *, alone=False):
+def _by_turns(stamp, states, shape, images=None, *, alone=False):
     """Fit images and cadences by turns, a star ``alone`` without constant light."""
     for _ in range(_MOST_STEPS):
         before, functions = states, stamp.functions(states.position)
-        shape = _fit_shape(stamp, states, shape, functions, alone=alone)
-        states, errors, shape = _fit_states(stamp, states, shape, functions)
+        shape = _fit_shape(stamp, states, shape, images, functions, alone=alone)
+        images = _images(stamp, states, shape, functions)
+        if shape.changes:
+            states, shape, images = _with_unit(stamp, states, shape, images)
+        states, errors = _fit_states(stamp, states, shape, images, functions)
         moved = [
             np.abs(new - old) / error
             for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
@@ -188,15 +193,17 @@ def _courses(states):
     return states.brightness, *states.position.T, states.focus
 
 
-def _fit_shape(stamp, states, shape, functions, *, alone=False):
+def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     """Fit the functions of position of all pixels at once: ridge regression.
 
-    Widths have images of their own once those of the star are known.
+    Once there are images of the star, what flows into its pixels as the PSF widens is the
+    expectation of those of the width.
     """
     _, basis, coarse = functions
     a, w = states.brightness[:, None], states.focus[:, None]
-    parts, sizes = {}, dict(shape.sizes)
-    if len(shape.main):
+    rest, parts, sizes = stamp.light - states.plane @ stamp.planes.T, {}, dict(shape.sizes)
+    if images is not None:
+        rest -= a * w * shape.flow * images.wider
         parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
     if states.variable.any() and not alone:
         parts["constant"] = -states.variable[:, None] * coarse
@@ -205,7 +212,7 @@ def _fit_shape(stamp, states, shape, functions, *, alone=False):
     columns = np.concatenate(columns, axis=1)
     seen = np.where((stamp.use & states.good.all(axis=1))[:, None], columns, 0)
     values, vectors = np.linalg.eigh(seen.T @ seen)
-    right = vectors.T @ (seen.T @ (stamp.light - states.plane @ stamp.planes.T))
+    right = vectors.T @ (seen.T @ rest)
     ridge = states.variance / stamp.scale**2
     inverse = 1 / (np.maximum(values, 0)[:, None] + ridge)
     coefficients = vectors @ (right * inverse)
@@ -220,7 +227,7 @@ def _fit_shape(stamp, states, shape, functions, *, alone=False):
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
             error = np.sqrt(states.variance * (mean**2 @ inverse))
     doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
-    return _Shape(coefficients[: first[1]], changes, sizes, error, doubt)
+    return _Shape(coefficients[: first[1]], changes, sizes, shape.flow, error, doubt)
 
 
 def _images(stamp, states, shape, functions):
@@ -242,8 +249,9 @@ def _images(stamp, states, shape, functions):
     whole, changes, constant, w = image.copy(), shape.changes, 0.0, states.focus[:, None]
     if "constant" in changes:
         constant = without_sum(coarse, changes["constant"])
+    wider = stamp.flow.wider(image, stamp.center + states.position)
     if "width" in changes:
-        by_width = without_sum(few, changes["width"])
+        by_width = shape.flow * wider + without_sum(few, changes["width"])
         squared = without_sum(few, changes["squared"])
         whole += w * by_width + w**2 * squared
         slopes.append(by_width + 2 * w * squared)
@@ -252,33 +260,24 @@ def _images(stamp, states, shape, functions):
         shown = size / (size + POSITION_PRIOR**2)
         pairs = zip(shown, slopes, stamp.flow.moved(image), strict=True)
         slopes = [part * slope + (1 - part) * flow for part, slope, flow in pairs]
-        slopes.append(stamp.flow.wider(image, stamp.center + states.position))
-    return _Images(image, whole, slopes, constant)
+        slopes.append(wider)
+    return _Images(image, whole, slopes, constant, wider)
 
 
-def _with_unit(stamp, states, shape, images, coarse):
-    """Give the focus the unit of a relative width, and its image the light of the wings.
+def _with_unit(stamp, states, shape, images):
+    """Give the focus the unit of a relative width, of which the flow into the pixels is known.
 
-    Where pixels are dark a wider PSF is like more background: the level of its image there is
-    that of the widening. Returned are states, shape and images.
+    Returned are states, shape and images.
     """
-    use, outside, changes = stamp.use, ~stamp.aperture, dict(shape.changes)
-    few = np.flatnonzero(use)[:: max(use.sum() // ENOUGH, 1)]
-    wider = stamp.flow.wider(images.still[few], stamp.center + states.position[few]).mean(axis=0)
-    fitted = images.slopes[2][use].mean(axis=0)
-    signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
-    size = np.sqrt(signal[0] / signal[1])
-    changes["width"] = changes["width"] / size
-    changes["squared"] = changes["squared"] / size**2
-    states, slope = replace(states, focus=states.focus * size), images.slopes[2] / size
-    if outside.any():
-        wing = quantile((wider - fitted / size)[outside])
-        one = np.linalg.lstsq(coarse[use], np.ones(use.sum()), rcond=None)[0]
-        level = stamp.planes[:, 0]
-        changes["width"] = changes["width"] + wing * one[:, None] * level
-        slope += wing * (level - level[stamp.aperture].sum() * images.still)
-    images = replace(images, slopes=[*images.slopes[:2], slope])
-    return states, replace(shape, changes=changes), images
+    fitted, wider = (each[stamp.use].mean(axis=0) for each in (images.slopes[2], images.wider))
+    weight = np.abs(wider) / np.sqrt(states.variance)  # in the wings the flow is less certain
+    size = np.sum(weight * fitted * wider) / np.sum(weight * wider**2)
+    size, slopes = np.clip(size, 0.5, 2.0), images.slopes
+    orders = {"width": 1, "squared": 2}
+    changes = {name: part / size ** orders.get(name, 0) for name, part in shape.changes.items()}
+    shape = replace(shape, changes=changes, flow=shape.flow / size)
+    images = replace(images, slopes=[*slopes[:2], slopes[2] / size])
+    return replace(states, focus=size * states.focus), shape, images
 
 
 def _rest(stamp, states, images):
@@ -290,16 +289,14 @@ def _rest(stamp, states, images):
     return rest
 
 
-def _fit_states(stamp, states, shape, functions):
+def _fit_states(stamp, states, shape, images, functions):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
-    The focus has a smooth course, and all else is the most likely at this. Return the states, the
-    errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what is
-    less changes no light), and the shape, in whose unit the focus is.
+    The focus has a smooth course, and all else is the most likely at this. Return the states, and
+    the errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what
+    is less changes no light).
     """
-    images, late = _images(stamp, states, shape, functions), "width" in shape.changes
-    if late:
-        states, shape, images = _with_unit(stamp, states, shape, images, functions[2])
+    late = "width" in shape.changes
     rest, use = _rest(stamp, states, images), stamp.use
     spread = 1.4826 * quantile(np.abs(rest[use].T))
     states = replace(states, variance=np.maximum(stamp.noise, spread**2))
@@ -347,7 +344,7 @@ def _fit_states(stamp, states, shape, functions):
         states, brightness=brightness, position=position, focus=focus, variable=variable,
         plane=plane, level=level,
     )  # fmt: skip
-    return states, error[:4], shape
+    return states, error[:4]
 
 
 def _without_hits(stamp, states, images, rest, doubt):
@@ -526,6 +523,7 @@ def _result(stamp, states, images, flux_err, image_error):
         outside=images.still @ ~inside,
         background=stamp.unit * (states.plane @ stamp.terms.T),
         position=states.position,
+        variable=states.variable,
         focus=focus,
         constant=_constant_light(stamp, images, image_error),
         misfit=drawn(rest / light[:, None], mean),
