@@ -151,6 +151,22 @@ def test_the_target_is_the_star_at_the_coordinates(magnitudes, distance, apertur
     assert error > 0.02 or aperture is None
 
 
+def test_a_target_that_drowns_in_a_neighbor():
+    """The chosen aperture holds 2 % of its light: no correction of that is one."""
+    neighbors = ((-1.5, 3.0, 0.0),)
+    variability = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.3}
+    regime = SkyRegime("bright", magnitude=14.5, neighbors=neighbors, **variability)
+    sky = make_sky(regime, 54, n_cadences=300)
+    light = np.nanmedian(sky.star_light + sky.neighbor_light, axis=0)
+    sky = replace(sky, aperture=light > 0.01 * light.max())
+    corrector = PLDCorrector(sky.to_tpf())
+    assert true_share(sky, corrector) < 0.02
+    with pytest.warns(DetrendingWarning, match="hardly any light of the star at the file's"):
+        lc = corrector.correct()
+    assert corrector.result.neighbors is None
+    assert np.nanstd(lc.flux.value) < 0.02 * np.nanmedian(lc.flux.value)
+
+
 @pytest.mark.parametrize(
     ("hdu", "key", "value"),
     [(0, "RA_OBJ", None), (0, "RA_OBJ", "unknown"), (0, "RA_OBJ", 200.0), (1, "1CRPX5", "x"),

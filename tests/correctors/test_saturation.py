@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from scope_models.correctors._saturation import find_row_centers, without_saturation
+from scope_models.correctors._saturation import (
+    find_row_centers,
+    rows_of_star,
+    without_saturation,
+)
 from scope_models.effects._noise import bleed
 from scope_models.pixelmodel._columns import full_columns
 
@@ -128,3 +132,20 @@ def test_all_columns_full():
     np.testing.assert_allclose(
         found - found.mean(), (y - y.mean())[:, None] * np.ones(3), atol=0.02
     )
+
+
+def test_rows_of_a_star_that_varies_beside_another_one():
+    """The center of light of both follows the star's brightness, and that of the star does not."""
+    rng, time = np.random.default_rng(1), np.arange(600) / 49
+    position = 0.3 * np.stack([time / 0.25 % 1 - 0.5, np.sin(2 * np.pi * time / 0.25)], axis=1)
+    variable = 0.2 * np.sin(2 * np.pi * time / 0.63)
+    star = 4 + position[:, 1:] + 0.02 * position[:, :1] + 1e-3 * rng.standard_normal((600, 2))
+    part = 0.2 / (1.2 + variable)[:, None]
+    centers = star + part * (2 - position[:, 1:])
+    rows = rows_of_star(centers, position, variable, np.arange(600) % 3 > 0)
+    shift = centers[:, 1] - rows[:, 1]
+    assert np.std(centers[:, 1] - star[:, 1]) > 0.05
+    follows = np.polyfit(variable, (rows - star)[:, 1], 1)[0] * variable.std()
+    assert abs(follows) < 2e-4
+    assert np.std(shift) > 0.04
+    np.testing.assert_array_equal(rows_of_star(star, position, np.zeros(600), time > 0), star)
