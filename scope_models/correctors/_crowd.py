@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.models import PRF
+from scope_models.pixelmodel._position import BLOCK
 from scope_models.pixelmodel._smoothing import CLIP
 
 __all__ = ["PLACE", "WIDTH", "Crowd", "CrowdPixels", "learn", "track"]
@@ -21,16 +22,14 @@ __all__ = ["PLACE", "WIDTH", "Crowd", "CrowdPixels", "learn", "track"]
 #: as broad. Official PRFs of TESS (camera 2, CCD 3) differ from sums of Gaussians by three times as
 #: much or less: 0.1 of the peak in the core, 0.03 at 2.5 px and 0.001 at 5 px.
 _PRF, _BROAD = 0.03, 2.0
-#: Prior: width, spacing and places (px) of the Gaussians: the process has sqrt(2) times this scale,
-#: for those PRFs are correlated by 0.93 over 0.5 px and by 0.7 over 1 px.
-_SIGMA, _SPACING, _CENTERS = 0.5**0.5, 0.5, np.arange(-4, 4.5, 0.5)
-#: Prior: the PRF's sum over pixels is that of the first guess, to this part.
-_SUM = 2e-4
+#: Prior: width and places (px) of the Gaussians. The process has sqrt(2) times this scale, for
+#: those PRFs are correlated by 0.93 over 0.5 px and by 0.7 over 1 px.
+_SIGMA, _CENTERS = 0.5**0.5, np.arange(-4, 4.5, 0.5)
 #: Prior: standard deviations of gains, and of a neighbor's flux (relative) and a place (px) about
 #: the first guess; and of relative widths.
 _GAIN, _FLUX, PLACE, WIDTH = 0.015, 0.3, 0.3, 0.01
-#: Tolerance: steps, and cadences at once.
-_STEPS, _BLOCK = 5, 512
+#: Tolerance: number of steps; a sixth one changes shares of the light by 1e-4.
+_STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class Crowd:
         """Return prior standard deviations of the parameters but the gains."""
         x, y = np.meshgrid(_CENTERS / _BROAD, _CENTERS / _BROAD)
         size = _PRF * self.prf.unit_images((1, 1), -x.ravel(), -y.ravel()).ravel()
-        size *= _SPACING / (_SIGMA * np.sqrt(np.pi))  # the squares of many Gaussians add up
+        size *= np.diff(_CENTERS)[0] / (_SIGMA * np.sqrt(np.pi))  # squares of many add up
         return np.concatenate([size, _FLUX * self.fluxes, np.full(self.away.size, PLACE)])
 
 
@@ -153,7 +152,7 @@ def learn(first, pixels):
     """Return a crowd that describes the pixels of some cadences."""
     crowd, states, m = first, pixels.expected, first.change.size
     sizes = np.append(first.sizes(), np.full(first.gains.size, _GAIN))
-    whole = np.where(np.arange(len(sizes)) < m, 2 * np.pi * _SIGMA**2 / _SUM, 0.0)
+    whole = np.where(np.arange(len(sizes)) < m, sizes, 0.0)  # of the PRF, which stays
     for _ in range(_STEPS):
         root, rest, basis, factor = _cadences(crowd, states, pixels)
         n, p = len(states), crowd.gains.size
@@ -168,11 +167,10 @@ def learn(first, pixels):
         gram = np.block([[flat.T @ flat, cross], [cross.T, np.diag(np.sum(light**2, axis=0))]])
         right = np.append(flat.T @ rest.ravel(), np.sum(light * rest, axis=0))
         away = np.append(crowd.values - first.values, crowd.gains.ravel() - 1)
-        gram += np.outer(whole, whole) - inside.T @ inside
-        right -= whole * (whole @ away) + inside.T @ seen.ravel()
-        gram *= sizes[:, None] * sizes
-        gram[np.diag_indices_from(gram)] += 1
-        step = sizes * np.linalg.solve(gram, sizes * right - away / sizes)
+        gram = (gram - inside.T @ inside) * sizes[:, None] * sizes + np.eye(len(sizes))
+        right = sizes * (right - inside.T @ seen.ravel()) - away / sizes
+        gram = np.block([[gram, whole[:, None]], [whole, 0.0]])
+        step = sizes * np.linalg.solve(gram, np.append(right, 0.0))[:-1]
         states = _moved(states, factor, seen - (inside @ step).reshape(n, 5))
         gains = crowd.gains + step[-p:].reshape(crowd.gains.shape)
         crowd = crowd.with_values(crowd.values + step[:-p], gains)
@@ -198,8 +196,8 @@ def _effects(crowd, states):
 def track(crowd, pixels):
     """Return states of all cadences, and the light of the neighbors in all pixels."""
     states, light = pixels.expected.copy(), np.empty(pixels.flux.shape)
-    for start in range(0, len(states), _BLOCK):
-        part = slice(start, start + _BLOCK)
+    for start in range(0, len(states), BLOCK):
+        part = slice(start, start + BLOCK)
         for _ in range(_STEPS):
             _, rest, basis, factor = _cadences(crowd, states[part], pixels[part])
             seen = (basis.transpose(0, 2, 1) @ rest[..., None])[..., 0]

@@ -2,8 +2,6 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
 from os import PathLike
 from pathlib import Path
 
@@ -15,8 +13,8 @@ from scope_models.correctors._pixels import at_one_place, typical_image, without
 from scope_models.correctors._stars import NEAREST, SHARE_ERROR, center_of_light, stars_of
 from scope_models.exceptions import DetrendingWarning
 from scope_models.fitting import FitOptions, fit_tpf
+from scope_models.fitting._start import make_prf
 from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
-from scope_models.models import BivariateGaussianPSF
 from scope_models.pixelmodel._position import nearness, polynomials
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 
@@ -30,9 +28,8 @@ _TARGET_ITSELF, _FARTHEST = 0.3, 5.0
 _VARIES = 0.02 * 0.05
 #: Branch: standard deviations of what counts as seen, by a jackknife of so many parts of the time.
 _SEEN, _PARTS = 3.0, 10
-#: Tolerance: light and widths (px) of the Gaussians with which the PSF begins, and cadences that
-#: show it.
-_GAUSSIANS, _FEW = ((0.7, 0.5), (0.3, 1.1)), 100
+#: Tolerance: cadences that show the PRF.
+_FEW = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +235,7 @@ def _first_fit(series, stars, *, given):
     """
     moves = series.pos_corr is not None and np.nanstd(series.pos_corr, axis=0).all()
     options = FitOptions(neighbor_flux="constant", saturation=False, position_error=POSITION_PRIOR)
-    psf = reduce(add, (BivariateGaussianPSF(part, 0, 0, s, s) for part, s in _GAUSSIANS))
+    psf = make_prf(2, None, 0).psf  # concentric ones: free offsets would describe a pair
     while len(stars) > 1:
         with warnings.catch_warnings(action="ignore"):
             fit = fit_tpf(

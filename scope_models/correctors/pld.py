@@ -227,7 +227,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         if positions is not None:
             if not isinstance(positions, Motion):
                 raise TypeError(f"`positions` must be a Motion or None, got {positions!r}")
-            series = series.replace(pos_corr=positions.offsets(series)[0])
+            offsets = np.float32(positions.offsets(series)[0])  # as files hold them
+            series = series.replace(pos_corr=offsets.astype(float))
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)

@@ -6,6 +6,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scope_models.pixelmodel._smoothing import quantile
 
 __all__ = [
+    "BLOCK",
     "COORDINATES",
     "DARK_PART",
     "ENOUGH",
@@ -33,7 +34,7 @@ DARK_PART, FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Prior: error of the target's place by the file's coordinates, px: twice that of eleven real ones.
 COORDINATES = 1.0
 #: Tolerance: cadences whose arrays a processor's cache holds.
-_BLOCK = 128
+BLOCK = 128
 
 
 class Features:
@@ -136,8 +137,8 @@ class Flow:
 
     def _blocks(self, images):
         """Yield cadences, images, and the light at the lower and upper edges along both axes."""
-        for first in range(0, len(images), _BLOCK):
-            part = slice(first, first + _BLOCK)
+        for first in range(0, len(images), BLOCK):
+            part = slice(first, first + BLOCK)
             light = self.columns.drawn(images[part]).T
             near = [self._near(light, axis) for axis in (0, 1)]
             yield part, light, [(_at_edge(five[:4]), _at_edge(five[1:])) for five in near]

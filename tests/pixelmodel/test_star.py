@@ -183,9 +183,9 @@ def test_shares_do_not_follow_a_variable_star_beside_a_constant_neighbor():
     assert np.abs(follows).max() < 2e-3  # measured fractions: 0.1
 
 
-@pytest.mark.parametrize(("pixel", "charge"), [(40, 5000), (41, 2000), (50, 2000)])
+@pytest.mark.parametrize(("pixel", "charge"), [(40, 3000), (41, 2000), (50, 2000)])
 def test_cosmic_rays_are_replaced(pixel, charge):
-    """The brightest pixel has 35,000 e-/s, of which 5 percent may be an error of the model."""
+    """The brightest pixel, 40, has 35,000 e-/s: it tells the position that it follows."""
     x, y, measured = motion()
     light = FLUX * image(x, y)
     light[200, pixel] += charge
