@@ -406,7 +406,7 @@ def star_places(name, places, series):
     ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
     ``name`` is the argument in messages.
     """
-    columns = {key.lower(): key for key in getattr(places, "colnames", ())}
+    columns = {str(key).lower(): key for key in getattr(places, "columns", ())}
     if {"x", "y"} <= set(columns):
         given = {f"{name}[{key!r}]": places[columns[key]] for key in "xy"}
         places = np.column_stack([plain_array(v, u.pixel, key) for key, v in given.items()])

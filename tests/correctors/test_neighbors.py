@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy import units as u
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
+from astropy.table import QTable, Table
 
 from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.benchmark import SkyRegime, make_sky, score
@@ -322,13 +323,10 @@ def test_given_neighbors_are_where_they_are_given(neighbor, tmp_path):
     other = tpf.wcs.pixel_to_world(*(tpf.wcs.world_to_pixel(target) + place[0] - middle))
     path, table = tmp_path / "stars.csv", Table(place, names=("x", "y"))
     table.write(path)
-    for given in (place, table, path, str(path)):
+    for given in (place, table, table.to_pandas(), path, str(path)):
         np.testing.assert_allclose(PLDCorrector(tpf, neighbors=given)._neighbors, place, atol=1e-6)
-    on_sky = (
-        other,
-        SkyCoord([other]).galactic,
-        Table({"ra": [other.ra.deg], "dec": [other.dec.deg]}),
-    )
+    table = QTable({"RA": [other.ra.hourangle] * u.hourangle, "Dec": [other.dec.deg] * u.deg})
+    on_sky = (other, SkyCoord([other]).galactic, table)
     first, *others = (PLDCorrector(tpf, neighbors=given)._neighbors for given in on_sky)
     np.testing.assert_allclose(others, [first, first], atol=0.01)
     np.testing.assert_allclose(first, place, atol=0.3)  # where the fit begins
