@@ -20,9 +20,10 @@ from scope_models.correctors._design import (
     outside_column,
 )
 from scope_models.correctors._features import Regressors
+from scope_models.correctors._fractions import can_predict, with_predicted_fractions
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
-from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
+from scope_models.correctors._pixels import Pixels
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
+from scope_models._values import html_table
 from scope_models.correctors._injection import (
     box_signal,
     checked_depth,
@@ -518,13 +519,14 @@ class PLDFit:
         pixels = self.model.pixels
         if self.model.source is None:
             return no_survival("no file is behind the fit")
+        flux, flux_err = self.corrected()
+        with np.errstate(all="ignore"):  # as in `corrected`
+            weight = flux_err / flux
         if transit_model is None:
             if 3 * self.window > self.n_used:
                 return no_survival(f"{self.n_used} cadences are less than three of the boxes")
             if depth is None:
-                flux, error = self.corrected()
-                with np.errstate(all="ignore"):  # as in `corrected`
-                    noise = np.nanmedian(error / flux) / np.sqrt(self.window)
+                noise = np.nanmedian(weight) / np.sqrt(self.window)
                 depth = float(np.clip(_OBVIOUS * noise, _SHALLOW, _DEEP))
             column = np.log(box_signal(self.used, self.window, checked_depth(depth)))
         else:
@@ -540,10 +542,8 @@ class PLDFit:
             again = self._with_signal(column)
         except ValueError as error:
             return no_survival(f"the correction with transits in the pixels fails: {error}")
-        flux, flux_err = self.corrected()
         with np.errstate(all="ignore"):
             ratio = again.corrected()[0] / flux
-            weight = flux_err / flux
         known = np.isfinite(ratio) & np.isfinite(weight) & (self.cadence_mask | self.transit_mask)
         ratio, weight = ratio[known] / np.median(ratio[known]), weight[known]
         found, error = depth_ratio(np.exp(column[known]) - 1, ratio, weight)
@@ -697,43 +697,34 @@ class PLDFit:
         return table
 
     def _rows(self):
-        """Return labels and values for the short table."""
-        rows = [
-            ("cadences in the fit", f"{self.n_used}"),
-            ("outliers", f"{self.n_outliers}"),
-            ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
-            ("fractions", self._fractions),
-        ]
+        """Return the values of the short table by their labels."""
+        rows = {
+            "cadences in the fit": f"{self.n_used}",
+            "outliers": f"{self.n_outliers}",
+            "noise variance / FLUX_ERR^2": f"{self.noise_scale:.3f}",
+            "fractions": self._fractions,
+        }
         if self.contamination > 0:
-            rows.append(("light of neighbors taken off", f"{100 * self.contamination:.1f} %"))
+            rows["light of neighbors taken off"] = f"{100 * self.contamination:.1f} %"
         if self.crowding < 1:
-            rows.append(("of other stars", f"{100 * (1 - self.crowding):.1f} %"))
+            rows["of other stars"] = f"{100 * (1 - self.crowding):.1f} %"
         if np.isfinite(self.trend_sigma):
-            trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
-            rows.append(("trend", trend))
+            rows["trend"] = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
         if self.frequencies:
-            rows.append(("frequencies", f"{len(self.frequencies)}"))
-        if "_survival" in vars(self):  # further corrections are not made to be shown
-            survival = f"{self.transit_survival:.3f} +- {self.transit_survival_err:.3f}"
-            rows.append(("transit survival", survival))
-        if self.joint and "_transit" in vars(self):
-            scale = f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}"
-            rows.append(("transit scale", scale))
+            rows["frequencies"] = f"{len(self.frequencies)}"
+        for label, name in (("transit survival", "_survival"), ("transit scale", "_transit")):
+            value, error = vars(self).get(name, (np.nan, np.nan))  # nothing is corrected here
+            if np.isfinite(value):
+                rows[label] = f"{value:.3f} +- {error:.3f}"
         parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
-        rows += [(name, f"{used:.1f} of {n} parameters") for name, n, used in parts]
-        return rows
+        return rows | {name: f"{used:.1f} of {n} parameters" for name, n, used in parts}
 
     def __repr__(self):
-        return (
-            f"<PLDFit: order {self.model.options.order}, {self.n_used} cadences, "
-            f"{self.n_outliers} outliers>"
-        )
+        order = self.model.options.order
+        return f"<PLDFit: order {order}, {self.n_used} cadences, {self.n_outliers} outliers>"
 
     def __str__(self):
-        return "\n".join(f"{label:28} {value}" for label, value in self._rows())
+        return "\n".join(f"{label:28} {value}" for label, value in self._rows().items())
 
     def _repr_html_(self):
-        rows = "".join(
-            f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
-        )
-        return f"<table>{rows}</table>"
+        return html_table(repr(self), self._rows())

@@ -8,6 +8,7 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models._checks import checked_cadences, solvable
 from scope_models._threads import one_thread
 from scope_models._values import frozen
+from scope_models.correctors._fractions import can_predict
 from scope_models.correctors._lightkurve import (
     LightkurveNames,
     named_mask,
@@ -24,7 +25,6 @@ from scope_models.correctors._pixels import (
     NOISIER,
     WORSE,
     aperture_pixels,
-    can_predict,
     credible_flux,
     noise_ratios,
     warn_of_pipeline,

@@ -177,7 +177,7 @@ def test_light_of_a_faint_star_has_less_noise_than_the_sum():
 def test_the_weights_of_a_faint_star_follow_its_motion():
     """The sum over all pixels that it crosses has twice the noise of those that it is in."""
     observation = simulate(
-        Star(15.5), Detector.k2(shape=(17, 17)), 10 * Motion.k2_roll(1000, seed=1)
+        Star(15.5), Detector.k2(shape=(17, 17)), 10 * Motion.k2_roll(1000, seed=1), seed=1
     )
     corrector = PLDCorrector(observation.to_tpf())
     lc, raw = corrector.correct(), corrector.original_lc
