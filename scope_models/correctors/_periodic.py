@@ -54,10 +54,13 @@ class _Waves:
         Those of harmonics of a light curve with jumps fall as 1/k, and exposures average them.
         """
         k = np.arange(1, self.count + 1)
-        sizes = np.sinc(k * self.base * np.median(np.diff(time))) / k
-        turns = np.exp(2j * np.pi * np.outer(time, np.append(self.base, self.others)))
-        harmonics = np.repeat(turns[:, :1], self.count, axis=1).cumprod(axis=1)
-        return np.concatenate([harmonics * sizes, turns[:, 1:]], axis=1).view(float)
+        turns = np.exp(2j * np.pi * np.outer(time, np.append(self.others, self.base)))
+        waves = np.repeat(turns[:, -1:], self.count + len(self.others), axis=1)
+        waves[:, self.count :] = turns[:, :-1]
+        series = waves[:, : self.count]
+        np.cumprod(series, axis=1, out=series)
+        series *= np.sinc(k * self.base * np.median(np.diff(time))) / k
+        return waves.view(float)
 
     def improbability(self, n):
         """Return minus the logarithm of the prior of frequencies that may be anywhere.
@@ -189,8 +192,8 @@ def _with_series(waves, fit, n_most):
     """Return the waves, or harmonics of one frequency and what is left if they are more likely.
 
     Most of the waves are multiples of the frequency, by less chance than of others. Of two nearly
-    equal eclipses in a period even multiples are the strongest: if odd ones of half of the
-    frequency are needed, it is half.
+    equal eclipses in a period even multiples are the strongest: if as many multiples of half of the
+    frequency explain more, or odd ones are needed, it is half.
     """
     length, n = np.ptp(fit(waves).data.time), len(fit(waves).data.time)
     near = _NEAR / length
@@ -211,9 +214,14 @@ def _with_series(waves, fit, n_most):
     base, frequencies = bases[best], waves.frequencies
     others = tuple(frequencies[~multiples(frequencies, base)])
     last = round(frequencies[multiples(frequencies, base)].max() / base)
-    series = _Waves(others, base, last).completed(fit, n_most)
+    series = _Waves(others, base, min(2 * last, n_most)).settled(fit)
+    half = replace(series, base=series.base / 2)
+    may_be_half = not waves.count  # later its odd multiples are peaks of their own
+    if may_be_half and fit(half).log_likelihood > fit(series).log_likelihood:
+        series, may_be_half = half, False
+    series = series.completed(fit, n_most)
     found = [waves, series]
-    if not waves.count:  # later its odd multiples are peaks of their own
+    if may_be_half:  # unless nothing is left for odd multiples
         half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
         if np.max(half.gains(fit)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
             found.append(replace(half, count=series.count).completed(fit, n_most))

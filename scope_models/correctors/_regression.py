@@ -175,6 +175,11 @@ class Posterior:
         part = dtrtrs(self._lower, self._root[:, None] * products, lower=1)[0]
         return -part.T @ part
 
+    def variance(self, columns):
+        """Return the variance of what the columns contribute to each datum."""
+        part = dtrtrs(self._lower, (columns * self._root).T, lower=1)[0]
+        return np.einsum("ij,ij->j", part, part)
+
     @cached_property
     def mean(self):
         """Mean of the coefficients."""

@@ -74,17 +74,13 @@ class Solution:
     predicted: bool = False  # whether the fractions are
 
     @cached_property
-    def columns(self):
-        return np.concatenate([self.regressors.columns, self.flat], axis=1)
-
-    @cached_property
     def data(self):
         use = self.use
         return Data(
             self.time[use],
             self.y[use],
             self.variance[use],
-            self.columns[use],
+            np.concatenate([self.regressors.columns[use], self.flat[use]], axis=1),
             self.regressors.groups,
             self.flat.shape[1],
             **self._expectations,
@@ -207,10 +203,7 @@ class Solution:
     @property
     def precision(self):
         """Diagonal of the inverse covariance of everything, for the cadences in use."""
-        x = self.solved[:, :-1]
-        return self.process.inverse_diagonal() - np.einsum(
-            "ij,ij->i", x @ self.posterior.covariance, x
-        )
+        return self.process.inverse_diagonal() - self.posterior.variance(self.solved[:, :-1])
 
     @property
     def pulls(self):
@@ -262,13 +255,13 @@ class Solution:
         returned = np.zeros_like(allowed)
         returned[allowed] = deviations < limit
         returned &= ~self.use
-        while True:
+        while returned.any():
             solution = replace(self, use=self.use | returned)
             deviations = np.abs(solution.deviations(solution.use))[returned[solution.use]]
-            farthest = np.max(deviations, initial=0.0)
-            if farthest < limit:
+            if deviations.max() < limit:
                 return solution
-            returned[returned] = deviations < max(limit, farthest / 2)
+            returned[returned] = deviations < max(limit, deviations.max() / 2)
+        return self
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
@@ -279,7 +272,7 @@ class Solution:
     @property
     def unexplained(self):
         """What regressors and flat columns leave of the data, at all usable cadences."""
-        return self.y - self.columns @ self.posterior.mean
+        return self.y - self.systematics - self._flat_part(0, self.flat.shape[1])
 
     def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
