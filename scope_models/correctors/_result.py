@@ -42,8 +42,6 @@ _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
 #: left, in errors.
 _REMOVALS, _NOTHING = 3, 0.2
-#: Tolerance: the first removal in errors, at least; and bounds of the response of the chain.
-_AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
 #: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
 _LARGEST = 0.5
 #: Numbers of a fit that go into the metadata of its table.
@@ -617,13 +615,11 @@ class PLDFit:
         taken, left, response = [0.0], [found], share
         while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
             step = left[-1] / response
-            if len(left) == 1:  # removing next to nothing would measure no response
-                step = np.copysign(max(abs(step), _AT_LEAST * error), step)
             step = np.clip(step, *(_LARGEST / np.abs(column).max() * np.array([-1, 1])))
             taken.append(taken[-1] + step)
             found, error = fitted_depth(self._with_signal(-taken[-1] * column[:, 0]), column)
-            if abs(step) > error:
-                response = np.clip((left[-1] - found) / step, *_RESPONSES)
+            rate = (left[-1] - found) / step
+            response = rate if rate > 0 else response
             left.append(found)
         scale = share * (taken[-1] + left[-1] / response)
         error = np.hypot(error * share / response, SHARE_ERROR * (1 - share) * scale)
