@@ -96,27 +96,24 @@ class Covariance:
         mean = driver.general_matmul_lower(time, self.time, self._c, u, self._v, alpha, mean)
         return driver.general_matmul_upper(time, self.time, self._c, v, self._u, alpha, mean)[:, 0]
 
-    def gradient(self, columns, whitened, gram_bar):
+    def gradient(self, whitened):
         """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
 
-        With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
-        has to be carried through the factorization's recursions for all columns.
+        The derivative of f by its argument is F F^T / 2, and whitened is what `whiten` makes of the
+        columns C, times F. With G = inv(K) C F, a change dK of K changes f by -G^T dK G / 2: no
+        derivative has to be carried through the factorization's recursions for all columns.
 
-        The columns are C, ``(n, r)``, whitened is what `whiten` makes of them, and ``gram_bar`` is
-        the derivative of f by the elements of its argument, symmetric. Returned are the derivatives
-        by the variance of the white noise, ``(n,)``, and by the logarithms of amplitude, period and
-        walk.
+        Returned are the derivatives by the variance of the white noise, ``(n,)``, and by the
+        logarithms of amplitude, period and walk.
         """
         z = whitened / np.sqrt(self._d)[:, None]
         solved = driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
-        weighted = solved @ gram_bar
-        by_noise = np.einsum("ij,ij->i", weighted, solved)
+        by_noise = 0.5 * np.einsum("ij,ij->i", solved, solved)
         variance_bar, amplitude_bar, period_bar, walk_bar = self._determinant_gradient
-        by_walk = self.walk * np.vdot(weighted, solved)
-        by_walk += 2 * np.vdot(weighted, self._walk_below(solved))
+        by_walk = self.walk * by_noise.sum() + np.vdot(solved, self._walk_below(solved))
         # the process' part of K is K without the noise
-        by_process = np.vdot(weighted, columns) - by_noise @ self.variance - by_walk
-        by_period = 2 * np.vdot(weighted, self._slope_below(solved))
+        by_process = 0.5 * np.vdot(whitened, whitened) - by_noise @ self.variance - by_walk
+        by_period = np.vdot(solved, self._slope_below(solved))
         slopes = amplitude_bar - by_process, period_bar - by_period, walk_bar - by_walk
         return variance_bar - by_noise, *slopes
 

@@ -175,10 +175,14 @@ class Posterior:
         part = dtrtrs(self._lower, self._root[:, None] * products, lower=1)[0]
         return -part.T @ part
 
+    def spread(self, columns):
+        """Return the columns times a root of the coefficients' covariance."""
+        return dtrtrs(self._lower, (columns * self._root).T, lower=1)[0].T
+
     def variance(self, columns):
         """Return the variance of what the columns contribute to each datum."""
-        part = dtrtrs(self._lower, (columns * self._root).T, lower=1)[0]
-        return np.einsum("ij,ij->j", part, part)
+        part = self.spread(columns)
+        return np.einsum("ij,ij->i", part, part)
 
     @cached_property
     def mean(self):
@@ -219,17 +223,13 @@ def log_likelihood(data, hyper, *, gradient=False):
     value = posterior.log_likelihood(process, len(data.y))
     if not gradient:
         return value
-    mean = posterior.mean
-    bar = np.empty((len(mean) + 1, len(mean) + 1))
-    bar[:-1, :-1] = 0.5 * (np.outer(mean, mean) + posterior.covariance)
-    bar[-1, :-1] = bar[:-1, -1] = -0.5 * mean
-    bar[-1, -1] = 0.5
-    used = 1 - posterior.shrinkage - mean**2 / prior
+    used = 1 - posterior.shrinkage - posterior.mean**2 / prior
     groups = 0.5 * np.bincount(data.groups, used[: len(data.groups)], minlength=data.n_groups)
+    left = np.column_stack([posterior.spread(z[:, :-1]), z[:, :-1] @ posterior.mean - z[:, -1]])
     if hyper.amplitude is None:
-        variance_bar = 0.5 - np.einsum("ij,ij->i", z @ bar, z)
+        variance_bar = 0.5 - 0.5 * np.einsum("ij,ij->i", left, left)
         return value, -np.array([variance_bar.sum(), *groups])
-    variance_bar, *process_bar = process.gradient(stacked, z, bar)
+    variance_bar, *process_bar = process.gradient(left)
     scale = hyper.noise_scale * np.sum(variance_bar * data.variance)
     return value, -np.array([scale, *groups, *process_bar])
 

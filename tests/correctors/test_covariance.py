@@ -69,16 +69,15 @@ def test_predict(problem):
 
 def test_gradient(problem):
     time, variance, columns = problem
-    weights = np.random.default_rng(2).normal(size=(3, 3))
-    weights = weights + weights.T
+    root = np.random.default_rng(2).normal(size=(3, 3))
 
     def value(variance, *logarithms):
         dense = kernel(time, time, *np.exp(logarithms)) + np.diag(variance)
         gram = columns.T @ np.linalg.solve(dense, columns)
-        return np.sum(weights * gram) + 0.5 * np.linalg.slogdet(dense)[1]
+        return 0.5 * np.sum(root @ root.T * gram) + 0.5 * np.linalg.slogdet(dense)[1]
 
     process = Covariance(time, variance, AMPLITUDE, PERIOD, WALK)
-    by_variance, *slopes = process.gradient(columns, process.whiten(columns), weights)
+    by_variance, *slopes = process.gradient(process.whiten(columns) @ root)
     at, h = np.log([AMPLITUDE, PERIOD, WALK]), 1e-5
     for slope, step in zip(slopes, h * np.eye(3), strict=True):
         numeric = (value(variance, *(at + step)) - value(variance, *(at - step))) / (2 * h)
