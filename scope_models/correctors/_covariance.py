@@ -22,9 +22,9 @@ class Noise:
         """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
         return columns / np.sqrt(self.variance)[:, None]
 
-    def solve(self, columns):
-        """Return ``inv(K) @ columns``."""
-        return columns / self.variance[:, None]
+    def solve_whitened(self, whitened):
+        """Return ``inv(K) @ columns`` from what `whiten` makes of them."""
+        return whitened / np.sqrt(self.variance)[:, None]
 
     def inverse_diagonal(self):
         """Return the diagonal of ``inv(K)``."""
@@ -79,11 +79,9 @@ class Covariance:
         z /= np.sqrt(self._d)[:, None]
         return z
 
-    def solve(self, columns):
-        """Return ``inv(K) @ columns``."""
-        z = np.array(columns, order="C")
-        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
-        z /= self._d[:, None]
+    def solve_whitened(self, whitened):
+        """Return ``inv(K) @ columns`` from what `whiten` makes of them."""
+        z = np.divide(whitened, np.sqrt(self._d)[:, None], order="C")
         return driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
 
     def predict(self, residual, time):
@@ -106,8 +104,7 @@ class Covariance:
         Returned are the derivatives by the variance of the white noise, ``(n,)``, and by the
         logarithms of amplitude, period and walk.
         """
-        z = whitened / np.sqrt(self._d)[:, None]
-        solved = driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
+        solved = self.solve_whitened(whitened)
         by_noise = 0.5 * np.einsum("ij,ij->i", solved, solved)
         variance_bar, amplitude_bar, period_bar, walk_bar = self._determinant_gradient
         by_walk = self.walk * by_noise.sum() + np.vdot(solved, self._walk_below(solved))

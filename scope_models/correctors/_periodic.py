@@ -100,11 +100,12 @@ class _Waves:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
         slope = slope[fitted.use]
-        solved = fitted.process.solve(slope)
-        precision = slope.T @ solved + fitted.posterior.left(fitted.data.columns.T @ solved)
+        right, slope = slope.T @ fitted.alpha, fitted.process.whiten(slope)
+        products = fitted.whitened[:, :-1].T @ slope
+        precision = slope.T @ slope + fitted.posterior.left(products)
         precision.flat[:: len(sizes) + 1] += (sizes * np.ptp(fitted.data.time) / size) ** 2
         covariance = np.linalg.inv(precision)
-        step = covariance @ (slope.T @ fitted.alpha)
+        step = covariance @ right
         base = self.base + step[0] if count else 0.0
         steps = np.abs(step) / np.sqrt(np.diag(covariance))
         others = np.add(self.others, step[int(count > 0) :])
@@ -193,7 +194,7 @@ def _with_series(waves, fit, n_most):
 
     Most of the waves are multiples of the frequency, by less chance than of others. Of two nearly
     equal eclipses in a period even multiples are the strongest: if as many multiples of half of the
-    frequency explain more, or odd ones are needed, it is half.
+    frequency gain much more, or odd ones are needed, it is half.
     """
     length, n = np.ptp(fit(waves).data.time), len(fit(waves).data.time)
     near = _NEAR / length
@@ -214,14 +215,17 @@ def _with_series(waves, fit, n_most):
     base, frequencies = bases[best], waves.frequencies
     others = tuple(frequencies[~multiples(frequencies, base)])
     last = round(frequencies[multiples(frequencies, base)].max() / base)
-    series = _Waves(others, base, min(2 * last, n_most)).settled(fit)
-    half = replace(series, base=series.base / 2)
+    series = _Waves(others, base, last)
     may_be_half = not waves.count  # later its odd multiples are peaks of their own
-    if may_be_half and fit(half).log_likelihood > fit(series).log_likelihood:
-        series, may_be_half = half, False
+    if may_be_half:
+        double = replace(series, count=min(2 * last, n_most)).settled(fit)
+        half = replace(double, base=double.base / 2)
+        gain = 2 * (fit(half).log_likelihood - fit(double).log_likelihood)
+        if gain > half.count * _SIGNIFICANT:  # and nothing else needs to be tried
+            series, may_be_half = half, False
     series = series.completed(fit, n_most)
     found = [waves, series]
-    if may_be_half:  # unless nothing is left for odd multiples
+    if may_be_half:
         half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
         if np.max(half.gains(fit)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
             found.append(replace(half, count=series.count).completed(fit, n_most))

@@ -177,7 +177,7 @@ class Posterior:
 
     def spread(self, columns):
         """Return the columns times a root of the coefficients' covariance."""
-        return dtrtrs(self._lower, (columns * self._root).T, lower=1)[0].T
+        return dtrtrs(self._lower, (columns * self._root).T, lower=1, overwrite_b=1)[0].T
 
     def variance(self, columns):
         """Return the variance of what the columns contribute to each datum."""

@@ -62,8 +62,9 @@ def _runs(data, mean, hyper):
         index = np.arange(n)[:, None]
         boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
         trial = replace(data, columns=np.concatenate([data.columns, boxes], axis=1))
-        solved = process.solve(trial.stacked)
-        posterior = Posterior(trial.stacked.T @ solved, hyper.prior(trial))
+        whitened = process.whiten(trial.stacked)
+        solved = process.solve_whitened(whitened)
+        posterior = Posterior(whitened.T @ whitened, hyper.prior(trial))
         solved[:, -1] -= solved[:, :-1] @ posterior.mean
         sums = np.cumsum(np.pad(solved, ((1, 0), (0, 0))), axis=0)
         deviating, new = [], []

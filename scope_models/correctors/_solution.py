@@ -107,9 +107,13 @@ class Solution:
         return self.hyper.process(self.data.time, self.data.variance)
 
     @cached_property
+    def whitened(self):
+        """The columns and the data as `Covariance.whiten` makes them."""
+        return self.process.whiten(self.data.stacked)
+
+    @cached_property
     def posterior(self):
-        whitened = self.process.whiten(self.data.stacked)
-        return Posterior(whitened.T @ whitened, self.hyper.prior(self.data))
+        return Posterior(self.whitened.T @ self.whitened, self.hyper.prior(self.data))
 
     @property
     def n_regressors(self):
@@ -121,13 +125,14 @@ class Solution:
 
     @cached_property
     def solved(self):
-        """The columns and the data multiplied with the inverse covariance of noise and trend."""
-        return self.process.solve(self.data.stacked)
+        """The columns multiplied with the inverse covariance of noise and trend."""
+        return self.process.solve_whitened(self.whitened[:, :-1])
 
     @cached_property
     def alpha(self):
         """What remains of the data, multiplied with the same inverse."""
-        return self.solved[:, -1] - self.solved[:, :-1] @ self.posterior.mean
+        rest = self.whitened[:, -1] - self.whitened[:, :-1] @ self.posterior.mean
+        return self.process.solve_whitened(rest[:, None])[:, 0]
 
     @cached_property
     def systematics(self):
@@ -180,7 +185,7 @@ class Solution:
     def blocks(self, starts, width):
         """Blocks of the inverse covariance of everything, for windows of cadences in use."""
         inverse = self.process.inverse_blocks(starts, width)
-        x = self.solved[starts[:, None] + np.arange(width), :-1]
+        x = self.solved[starts[:, None] + np.arange(width)]
         return inverse - (x @ self.posterior.covariance) @ x.transpose(0, 2, 1)
 
     def held_out(self, width, cadences=None):
@@ -203,7 +208,7 @@ class Solution:
     @property
     def precision(self):
         """Diagonal of the inverse covariance of everything, for the cadences in use."""
-        return self.process.inverse_diagonal() - self.posterior.variance(self.solved[:, :-1])
+        return self.process.inverse_diagonal() - self.posterior.variance(self.solved)
 
     @property
     def pulls(self):
