@@ -216,7 +216,8 @@ def _with_series(waves, fit, n_most):
     others = tuple(frequencies[~multiples(frequencies, base)])
     last = round(frequencies[multiples(frequencies, base)].max() / base)
     series = _Waves(others, base, last)
-    may_be_half = not waves.count  # later its odd multiples are peaks of their own
+    # later its odd multiples are peaks of their own
+    may_be_half = not waves.count and base > 4 / length
     if may_be_half:
         double = replace(series, count=min(2 * last, n_most)).settled(fit)
         half = replace(double, base=double.base / 2)
