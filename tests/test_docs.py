@@ -8,6 +8,7 @@ import shlex
 import textwrap
 
 import pytest
+from astropy.table import Table
 
 from scope_models.cli._main import _make_parser
 
@@ -109,3 +110,10 @@ def test_notebooks_hold_the_code_of_the_tutorials(repository, make_notebook):
         prose = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
         assert ">>>" not in prose
         assert not re.search(r"^\.\. ", prose, re.MULTILINE)
+
+
+def test_stored_tables_can_be_read(repository):
+    paths = sorted((repository / "docs/data").glob("*.ecsv"))
+    assert paths
+    for path in paths:
+        assert len(Table.read(path)) > 0, path
