@@ -240,15 +240,15 @@ class PLDFit:
 
         That of `fit_transit`, with the response of the whole chain.
         """
-        return self._transit[0]
+        return self._scale[0]
 
     @property
     def transit_scale_err(self):
         """Standard deviation of `transit_scale`."""
-        return self._transit[1]
+        return self._scale[1]
 
     @cached_property
-    def _transit(self):
+    def _scale(self):
         return self.fit_transit(self.transit_model) if self.joint else (np.nan, np.nan)
 
     # The images behind the predicted fractions
@@ -687,7 +687,7 @@ class PLDFit:
         table = QTable({"group": list(self.groups), **{n: list(getattr(self, n)) for n in names}})
         table.meta.update({name: getattr(self, name) for name in _NUMBERS})
         none = (np.nan, np.nan)
-        survival, scale = (vars(self).get(name, none) for name in ("_survival", "_transit"))
+        survival, scale = (vars(self).get(name, none) for name in ("_survival", "_scale"))
         table.meta.update(transit_survival=survival[0], transit_survival_err=survival[1])
         table.meta.update(transit_scale=scale[0], transit_scale_err=scale[1])
         return table
@@ -708,10 +708,10 @@ class PLDFit:
             rows["trend"] = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
         if self.frequencies:
             rows["frequencies"] = f"{len(self.frequencies)}"
-        for label, name in (("transit survival", "_survival"), ("transit scale", "_transit")):
-            value, error = vars(self).get(name, (np.nan, np.nan))  # nothing is corrected here
-            if np.isfinite(value):
-                rows[label] = f"{value:.3f} +- {error:.3f}"
+        for name, digits in (("survival", 3), ("scale", 4)):
+            if f"_{name}" in vars(self):  # further corrections are not made to be shown
+                value, error = vars(self)[f"_{name}"]
+                rows[f"transit {name}"] = f"{value:.{digits}f} +- {error:.{digits}f}"
         parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
         return rows | {name: f"{used:.1f} of {n} parameters" for name, n, used in parts}
 

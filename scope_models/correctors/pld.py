@@ -70,10 +70,10 @@ class PLDCorrector(LightkurveNames, Corrector):
         that the star at the file's coordinates lights up at some time.
     neighbors : array_like, Table, `~astropy.coordinates.SkyCoord`, path-like or "find", optional
         Other stars, whose light is fitted together with the target's and taken off: columns and
-        rows in the stamp ``(m, 2)`` in pixels, a table (or of pandas) with columns ``x`` and ``y``
-        or ``ra`` and ``dec``, the file of one, of which stars in the pixels are taken without the
-        target, or places on the sky, which are taken relative to the target's coordinates in the
-        file. By default those are found that have a peak of their own in the images, or stay
+        rows in the stamp ``(m, 2)`` in pixels, a table, also of pandas, with columns ``x`` and
+        ``y`` or ``ra`` and ``dec``, the file of one, of which stars in the pixels are taken without
+        the target, or places on the sky, which are taken relative to the target's coordinates in
+        the file. By default those are found that have a peak of their own in the images, or stay
         constant while the target varies; "find" takes all in the target's wings, too, which may be
         bumps of the PRF; ``[]``: none.
 

@@ -325,10 +325,14 @@ def test_given_neighbors_are_where_they_are_given(neighbor, tmp_path):
     table.write(path)
     for given in (place, table, table.to_pandas(), path, str(path)):
         np.testing.assert_allclose(PLDCorrector(tpf, neighbors=given)._neighbors, place, atol=1e-6)
-    table = QTable({"RA": [other.ra.hourangle] * u.hourangle, "Dec": [other.dec.deg] * u.deg})
-    on_sky = (other, SkyCoord([other]).galactic, table)
+    on_sky = (
+        other,
+        SkyCoord([other]).galactic,
+        Table({"ra": [other.ra.deg], "dec": [other.dec.deg]}),
+        QTable({"RA": [other.ra.hourangle] * u.hourangle, "Dec": [other.dec.deg] * u.deg}),
+    )
     first, *others = (PLDCorrector(tpf, neighbors=given)._neighbors for given in on_sky)
-    np.testing.assert_allclose(others, [first, first], atol=0.01)
+    np.testing.assert_allclose(others, [first] * 3, atol=0.01)
     np.testing.assert_allclose(first, place, atol=0.3)  # where the fit begins
     again = corrected(sky, neighbors=other).result.neighbors
     np.testing.assert_allclose([again[k][0].value for k in "xy"], place[0], atol=0.15)

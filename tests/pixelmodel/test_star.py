@@ -185,7 +185,7 @@ def test_shares_do_not_follow_a_variable_star_beside_a_constant_neighbor():
 
 @pytest.mark.parametrize(("pixel", "charge"), [(40, 3000), (41, 2000), (50, 2000)])
 def test_cosmic_rays_are_replaced(pixel, charge):
-    """The brightest pixel, 40, has 35,000 e-/s: it tells the position that it follows."""
+    """The brightest pixel, 40, has 35,000 e-/s, and the star's position follows it."""
     x, y, measured = motion()
     light = FLUX * image(x, y)
     light[200, pixel] += charge
