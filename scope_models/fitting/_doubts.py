@@ -87,6 +87,7 @@ def _of_pixels(fit):
             f"{fit.error_scale:.3g} times those of the noise"
             + ("" if fit.response else '; response="pixels" fits the share of each pixel')
         )
+    if fit.error_scale > 1 or fit.response:  # which takes up the light of any star
         stars = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
         away = np.linalg.norm(find_stars(fit.observed)[:, None] - stars, axis=2).min(axis=1)
         if others := np.sum(away > APART):

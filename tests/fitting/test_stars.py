@@ -285,6 +285,17 @@ def test_shares_of_many_stars_are_warned_of():
     assert np.isfinite(fit.flux_err).all()
 
 
+def test_shares_that_take_up_another_star_are_warned_of():
+    """Nothing in chi-squared shows it."""
+    stars = [Star(12.0 + k, *place) for k, place in enumerate(PLACES)]
+    tpf = simulate(stars, DETECTOR, 0.2 * Motion.k2_roll(60), seed=4).to_tpf()
+    message = '1 other maximum of the median image may be other stars: neighbors="find"'
+    fit, messages = messages_of(tpf, 1, response="pixels")
+    assert fit.error_scale == 1
+    assert message in messages
+    assert message not in messages_of(tpf, 1, stars=PLACES, response="pixels")[1]
+
+
 def test_the_brightest_are_found():
     places = [(x, y) for x in range(2, 20, 4) for y in range(2, 20, 4)]
     stars = [Star(12 + 0.1 * k, *place) for k, place in enumerate(places)]
