@@ -7,10 +7,14 @@ import numpy as np
 from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize
 
-from scope_models.correctors._regression import Hyperparameters
+from scope_models.correctors._regression import Hyperparameters, Posterior
 
-__all__ = ["find_waves"]
+__all__ = ["FAST", "find_rotation", "find_waves"]
+
+#: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
+FAST = 1.0
 
 #: Prior: twice the gain of the likelihood's logarithm that a pair of columns must bring. White
 #: noise exceeds it at one of 10^8 frequencies.
@@ -31,6 +35,11 @@ _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
 #: of the search.
 _ALONE = 10.0
+#: Prior: turns within which a rotation drifts, as spots do, and largest number of its harmonics.
+_TURNS, _HARMONICS = (2.0, 10.0), 3
+#: Tolerance: standard deviations that the frequencies of one reach from a harmonic, and after which
+#: it may repeat itself; and precision of a search for it.
+_REACH, _PRECISION = 3.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -100,9 +109,7 @@ class _Waves:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
         slope = slope[fitted.use]
-        right, slope = slope.T @ fitted.alpha, fitted.process.whiten(slope)
-        products = fitted.whitened[:, :-1].T @ slope
-        precision = slope.T @ slope + fitted.posterior.left(products)
+        right, precision = slope.T @ fitted.alpha, fitted.products(slope)
         precision.flat[:: len(sizes) + 1] += (sizes * np.ptp(fitted.data.time) / size) ** 2
         covariance = np.linalg.inv(precision)
         step = covariance @ right
@@ -149,6 +156,65 @@ class _Waves:
             others = np.array(waves.others)[~(weak & (gain <= limit))]
             waves = _Waves(tuple(others), waves.base, count)
         return waves
+
+
+@dataclass(frozen=True)
+class _Rotation:
+    """Harmonics of one frequency that drift, as those of spots: a Gaussian process.
+
+    The covariance of a wave times exp(-tau^2 / 2 c^2) is that of waves whose frequencies have a
+    normal distribution about its own, of the standard deviation 1 / (2 pi c).
+    """
+
+    frequencies: np.ndarray
+    amplitudes: np.ndarray
+
+    @classmethod
+    def at(cls, base, turns, count, length):
+        """Return that of so many harmonics, for a ``length`` of data, which drift within turns."""
+        coherence = turns / base
+        step = 1 / (length + _REACH * coherence)
+        n = int(np.ceil(_REACH / (2 * np.pi * coherence * step)))
+        beside = step * np.arange(-n, n + 1)
+        amplitudes = np.exp(-((np.pi * coherence * beside) ** 2))
+        frequencies = base * np.arange(1, count + 1)[:, None] + beside
+        return cls(frequencies.ravel(), np.tile(amplitudes / np.linalg.norm(amplitudes), count))
+
+    def columns(self, time):
+        """Return a cosine and a sine per frequency; those of a harmonic add to a size of one."""
+        return (self.amplitudes * np.exp(2j * np.pi * np.outer(time, self.frequencies))).view(float)
+
+    @staticmethod
+    def improbability(n):
+        """Return minus the logarithm of the prior of a frequency and of its distribution."""
+        return 2 * np.log(n / 2)
+
+
+def find_rotation(solution, rest):
+    """Return the most likely `_Rotation` of slow variability, beside the noise of a rest.
+
+    The strongest slow wave is its first harmonic or the second one.
+    """
+    bare = _with_simple_noise(solution, rest)
+    data, length = bare.data, np.ptp(bare.data.time)
+    frequency, gain = _spectrum(bare)
+    cycles = max(length * frequency[np.argmax(gain * (frequency < FAST))], 2.0)
+
+    def rotation(theta, k, count):
+        return _Rotation.at(theta[0] / k / length, np.exp(theta[1]), count, length)
+
+    def misfit(theta, *kind):
+        columns = rotation(theta, *kind).columns(data.time)
+        products = bare.products(np.column_stack([columns, data.y]))
+        posterior = Posterior(products, np.full(columns.shape[1], data.spread))
+        return posterior.quadratic + posterior.log_determinant
+
+    bounds = (cycles - _APART, cycles + _APART), tuple(np.log(_TURNS))
+    start, method = np.mean(bounds, axis=1), "Nelder-Mead"
+    kinds = [(k, count) for k in (1, 2) for count in range(k, _HARMONICS + 1)]
+    kind = min(kinds, key=lambda each: misfit(start, *each))
+    best = minimize(misfit, start, kind, method=method, bounds=bounds, tol=_PRECISION)
+    return rotation(best.x, *kind)
 
 
 def find_waves(solution, allowed):

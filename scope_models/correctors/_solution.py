@@ -1,11 +1,11 @@
 """The fit of a light curve: hyper-parameters, outliers, and what follows from them."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from scope_models.correctors._periodic import find_waves
+from scope_models.correctors._periodic import FAST, find_rotation, find_waves
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -26,9 +26,6 @@ _REFITS = 2
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
 #: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
 NOISE_ERROR = 0.16
-#: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
-_FAST = 1.0
-
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
 #: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
@@ -71,6 +68,7 @@ class Solution:
     n_trend: int = 1  # flat columns that are constant and variability
     frequencies: tuple = ()  # of the last columns of the variability, a cosine and a sine each, 1/d
     n_short: int = 0  # the next flat columns are short changes
+    improbability: float = 0.0  # minus the logarithm of the prior of their parameters
     predicted: bool = False  # whether the fractions are
 
     @cached_property
@@ -145,11 +143,20 @@ class Solution:
         x = self.regressors.columns
         return np.einsum("ij,ij->i", x @ self.posterior.covariance[:k, :k], x)
 
+    def products(self, columns):
+        """Return C^T Q C of columns with the inverse covariance Q of everything."""
+        columns = self.process.whiten(columns)
+        return columns.T @ columns + self.posterior.left(self.whitened[:, :-1].T @ columns)
+
+    @property
+    def is_fast(self):
+        """Whether there is periodic variability: slow waves alone are long-term."""
+        return max(self.frequencies, default=0.0) > FAST
+
     @property
     def _first_periodic(self):
-        """First flat column that is not the trend's: slow waves alone are long-term."""
-        fast = max(self.frequencies, default=0.0) > _FAST
-        return self.n_trend - 2 * len(self.frequencies) * fast
+        """First flat column that is not the trend's."""
+        return self.n_trend - 2 * len(self.frequencies) * self.is_fast
 
     def _flat_part(self, first, last):
         """Return what flat columns contribute."""
@@ -303,8 +310,8 @@ class Solution:
         """Return the same model with periodic variability, as large as the data's."""
         columns = waves.columns(self.time) / np.sqrt(FLAT)
         frequencies = (*self.frequencies, *map(float, waves.frequencies))
-        n = self.n_trend + columns.shape[1]
-        return self.with_more(columns, use, n_trend=n, frequencies=frequencies)
+        changes = {"frequencies": frequencies, "improbability": waves.improbability(use.sum())}
+        return self.with_more(columns, use, n_trend=self.n_trend + columns.shape[1], **changes)
 
     def with_more(self, columns, use, **changes):
         """Return the same model with more columns after the trend's, and other cadences."""
@@ -361,15 +368,20 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, *, predi
         if not columns.shape[1]:
             return plain
         other = _without_outliers(first.with_short(columns), make_regressors, options)
-        return max(plain, other, key=lambda s: _evidence(s, use))
+        return max(plain, other, key=evidence)
 
+    evidence = partial(_evidence, allowed=use)
     solution = likeliest(first)
     if options.trend == "gp":
         waves = find_waves(solution, use)
         if len(waves.frequencies):
             periodic = likeliest(first.with_waves(waves, use))
-            gain = _evidence(periodic, use) - _evidence(solution, use)
-            solution = periodic if gain > waves.improbability(use.sum()) else solution
+            likely = max(solution, periodic, key=evidence)
+            if not likely.is_fast:
+                rotation = find_rotation(solution, periodic.unexplained)
+                rotating = likeliest(first.with_waves(rotation, use))
+                likely = max(likely, rotating, key=evidence)
+            solution = likely
     if solution.n_short:  # its shape is not learned from
         solution = solution.without_short(use)
         use = solution.use
@@ -405,7 +417,8 @@ def _evidence(solution, allowed):
     little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
-    value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    value = solution.log_likelihood - solution.improbability
+    value -= n_outliers * np.log(np.ptp(solution.y[allowed]))
     if solution.predicted:
         value -= 0.5 * (np.log(solution.hyper.noise_scale) / NOISE_ERROR) ** 2
     return value

@@ -8,7 +8,7 @@ import pytest
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._periodic import _Waves, find_waves
+from scope_models.correctors._periodic import _Rotation, _Waves, find_rotation, find_waves
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution, fit
 from scope_models.exceptions import DetrendingWarning
@@ -62,6 +62,32 @@ def test_slow_rotation_is_found():
     solution = make_solution(y + rng.normal(0, 1e-4, len(TIME)))
     found = np.sort(find_waves(solution, solution.use).frequencies)
     np.testing.assert_allclose(found, [1 / 3.1, 2 / 3.1], rtol=1e-3)
+
+
+def test_a_rotation_is_a_process_of_its_covariance():
+    """Sums of its columns' products, beside the wave times the decay of its coherence."""
+    rotation = _Rotation.at(base=0.3, turns=2.5, count=2, length=np.ptp(TIME))
+    columns, lag = rotation.columns(TIME), TIME[:, None] - TIME
+    waves = np.cos(2 * np.pi * 0.3 * lag) + np.cos(4 * np.pi * 0.3 * lag)
+    expected = waves * np.exp(-0.5 * (lag / (2.5 / 0.3)) ** 2)
+    np.testing.assert_allclose(columns @ columns.T, expected, atol=0.03)
+
+
+def test_spots_that_drift_are_likelier_as_a_rotation():
+    """Waves of constant amplitudes need more frequencies for the same."""
+    rng = np.random.default_rng(1)
+    true = _Rotation.at(base=0.4, turns=3.0, count=2, length=np.ptp(TIME))
+    columns = true.columns(TIME)
+    y = 0.01 * columns @ rng.normal(size=columns.shape[1]) + rng.normal(0, 1e-4, len(TIME))
+    solution = make_solution(y)
+    rotation = find_rotation(solution, solution.with_waves(true, solution.use).unexplained)
+    assert rotation.frequencies.mean() / 1.5 == pytest.approx(0.4, abs=0.02)  # 2 harmonics
+    waves, use = find_waves(solution, solution.use), solution.use
+    value, other = (
+        solution.with_waves(each, use).log_likelihood - each.improbability(use.sum())
+        for each in (rotation, waves)
+    )
+    assert value > other + 10
 
 
 def test_a_random_walk_has_no_frequencies():
