@@ -41,7 +41,7 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
-#: Prior: largest factor by which what flows as the PSF widens may be wrong.
+#: Tolerance: largest change of the unit of the widths in a step, as a factor.
 _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
 #: than all others: what is different in each, as the seeing, would be in them.
@@ -205,7 +205,7 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     a, w = states.brightness[:, None], states.focus[:, None]
     rest, parts, sizes = stamp.light - states.plane @ stamp.planes.T, {}, dict(shape.sizes)
     if images is not None:
-        rest -= a * w * shape.flow * images.wider
+        rest -= a * w * images.wider
         parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
     if states.variable.any() and not alone:
         parts["constant"] = -states.variable[:, None] * coarse
@@ -229,7 +229,7 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
             error = np.sqrt(states.variance * (mean**2 @ inverse))
     doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
-    return _Shape(coefficients[: first[1]], changes, sizes, shape.flow, error, doubt)
+    return _Shape(coefficients[: first[1]], changes, sizes, 1.0, error, doubt)
 
 
 def _images(stamp, states, shape, functions):
@@ -274,7 +274,7 @@ def _with_unit(stamp, states, shape, images):
     fitted, wider = (each[stamp.use].mean(axis=0) for each in (images.slopes[2], images.wider))
     weight = np.abs(wider) / np.sqrt(states.variance)  # in the wings the flow is less certain
     size = np.sum(weight * fitted * wider) / np.sum(weight * wider**2)
-    size, slopes = np.clip(size, shape.flow / _UNIT, shape.flow * _UNIT), images.slopes
+    size, slopes = np.clip(size, 1 / _UNIT, _UNIT), images.slopes
     orders = {"width": 1, "squared": 2}
     changes = {name: part / size ** orders.get(name, 0) for name, part in shape.changes.items()}
     shape = replace(shape, changes=changes, flow=shape.flow / size)
