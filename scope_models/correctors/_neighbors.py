@@ -10,11 +10,13 @@ from astropy.table import QTable
 
 from scope_models.correctors._crowd import PLACE, WIDTH, Crowd, CrowdPixels, learn, track
 from scope_models.correctors._pixels import at_one_place, typical_image, without_background
+from scope_models.correctors._saturation import without_saturation
 from scope_models.correctors._stars import NEAREST, SHARE_ERROR, center_of_light, stars_of
 from scope_models.exceptions import DetrendingWarning
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.fitting._start import make_prf
 from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
+from scope_models.pixelmodel._columns import Columns
 from scope_models.pixelmodel._position import nearness, polynomials
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 
@@ -99,7 +101,7 @@ def given_neighbors(neighbors, series, pixels):
     return places[~far]
 
 
-def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
+def light_of_neighbors(pixels, series, cadence_mask, neighbors=None, saturation=None):
     """Fit a PSF at the places of the target and its neighbors to the pixels near it.
 
     Parameters
@@ -114,6 +116,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         Columns and rows of other stars, ``(k, 2)``. None: those with peaks of their own are found,
         and those whose light does not follow the star's, for the bumps of a PRF look like neighbors
         of up to 20 % of a star's light (official PRFs of TESS, camera 2, CCD 3); "find": all.
+    saturation : float, optional
+        Flux of a full pixel, e-/s. Where charge bleeds, only the sum along a column is the stars'.
 
     Returns
     -------
@@ -133,8 +137,11 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         known = usable_positions(pos_corr)
         pos_corr = np.where(known[:, None], pos_corr, np.nan) if known[use].any() else None
     flux = np.full(pixels.flux.shape, np.nan)
-    flux[usable] = without_background(pixels.flux[usable])
+    bled = pixels.bled(use, saturation)
+    flux[usable] = _drawn(without_background(pixels.flux[usable]), bled)
+    columns = Columns(np.argwhere(pixels.aperture)[:, ::-1], bled[pixels.aperture])
     inside, known = flux[usable][:, pixels.aperture], None if pos_corr is None else pos_corr[usable]
+    inside = columns.summed(inside)
     constant = np.zeros(1) if neighbors is not None else _constant_light(inside, known)
     everywhere = isinstance(neighbors, str) or np.abs(constant).max() > _SEEN
     if not (given or everywhere) and pixels.own.all():
@@ -146,8 +153,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     far = np.ones(image.shape, dtype=bool)
     far[box] = False
     flux[:, far], image[far] = np.nan, 0.0
-    few = np.flatnonzero(use)
-    few = few[:: -(-len(few) // _FEW)]
+    few = np.flatnonzero(use)[:: -(-use.sum() // _FEW)]
     try:
         if given:
             stars = np.vstack([center_of_light(image, pixels.core), neighbors])
@@ -169,7 +175,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     light[np.ix_(usable, ~far.all(axis=1), ~far.all(axis=0))] = others
     positions[usable] = corner + states[:, 1:3]
     if neighbors is None and pixels.own.all():  # what is taken off must be the light that was seen
-        left = _constant_light(inside - light[usable][:, pixels.aperture], known)
+        left = _constant_light(inside - columns.summed(light[usable][:, pixels.aperture]), known)
         if np.sum(left**2) > np.sum(constant**2):
             return None
     total, center = crowd.sum_and_center()
@@ -177,6 +183,14 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     units = ("electron / s", "pix", "pix")
     table = QTable([total * crowd.fluxes, *places.T], names=("flux", "x", "y"), units=units)
     return NeighborLight(table, light, positions)
+
+
+def _drawn(flux, bled):
+    """Return images in which bled charge is a star about its center of light in each column."""
+    light = np.where(bled, np.nan_to_num(flux), 0.0)
+    rows, sums = np.arange(len(bled)), light.sum(axis=1)
+    centers = rows @ light / np.where(sums > 0, sums, np.inf)
+    return np.where(bled, without_saturation(light, bled.any(axis=0), centers, bled), flux)
 
 
 def _first_crowd(fit, pixels):

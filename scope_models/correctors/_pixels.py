@@ -64,6 +64,7 @@ _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
+_ALONG_COLUMNS = np.array([[0, 1, 0]] * 3, dtype=bool)
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
 #: Branch: fewer cadences do not determine how the fractions change with position.
@@ -129,12 +130,17 @@ class Pixels:
 
     def full_columns(self, use, saturation):
         """Return which columns of the aperture are full, ``(nx,)``, at ``saturation``, e-/s."""
-        return full_columns(np.where(self.aperture, self.flux, 0.0), use, saturation)
+        measured = self.flux if self.neighbors is None else self.flux + self.neighbors.light
+        return full_columns(np.where(self.aperture, measured, 0.0), use, saturation)
+
+    def bled(self, use, saturation):
+        """Return full pixels and those next to them along columns, which hold bled charge."""
+        full = np.sum(self.flux[use] > (saturation or np.inf), axis=0) >= FEWEST
+        return ndimage.binary_dilation(full, _ALONG_COLUMNS)
 
     def loses_charge(self, use, saturation):
         """Return whether full pixels are above or below the aperture: it lacks what has bled."""
-        above_and_below = np.array([[0, 1, 0]] * 3, dtype=bool)
-        beside = ndimage.binary_dilation(self.aperture, above_and_below) & ~self.aperture
+        beside = ndimage.binary_dilation(self.aperture, _ALONG_COLUMNS) & ~self.aperture
         return bool(full_columns(np.where(beside, self.flux, 0.0), use, saturation).any())
 
     def quiet(self, use):

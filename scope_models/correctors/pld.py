@@ -73,9 +73,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         rows in the stamp ``(m, 2)`` in pixels, a table, also of pandas, with columns ``x`` and
         ``y`` or ``ra`` and ``dec``, the file of one, of which stars in the pixels are taken without
         the target, or places on the sky, which are taken relative to the target's coordinates in
-        the file. By default those are found that have a peak of their own in the images, or stay
-        constant while the target varies; "find" takes all in the target's wings, too, which may be
-        bumps of the PRF; ``[]``: none.
+        the file. By default those are found that have a peak of their own in the images (beside
+        full pixels these must be given), or stay constant while the target varies; "find" takes
+        all in the target's wings, too, which may be bumps of the PRF; ``[]``: none.
 
     Attributes
     ----------
@@ -271,12 +271,14 @@ class PLDCorrector(LightkurveNames, Corrector):
             return pixels, series
         saturation, use = settings.full_flux(series), pixels.usable & pixels.lit & mask
         full = pixels.full_columns(use, saturation).any()
-        if full or not can_predict(pixels, saturation, use):
-            if given is not None or (full and not pixels.own.all()):
+        beside = full and given is None and not pixels.own.all()
+        if beside or not can_predict(pixels, saturation, use):
+            if given is not None or beside:
                 message = "pixels are full, or too few: the light of other stars stays in the flux"
+                message += ", unless they are given as `neighbors`" if beside else ""
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
             return pixels, series
-        found = light_of_neighbors(pixels, series, mask, given)
+        found = light_of_neighbors(pixels, series, mask, given, saturation)
         if found is None:
             return pixels, series
         alone = without_neighbors(pixels, series, found)

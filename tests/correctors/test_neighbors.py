@@ -379,6 +379,20 @@ def test_a_neighbor_with_a_peak_beside_a_full_star_is_a_warning(apart):
     assert warned == apart
 
 
+def test_light_beside_full_pixels_is_taken_off():
+    """Charge that has bled is no other star, nor constant."""
+    regime = SkyRegime(
+        "full", magnitude=10.0, shape=(15, 11), neighbors=((2.0, 2.0, 0.0),), star="rr_lyrae",
+        period=0.55, amplitude=0.3,
+    )  # fmt: skip
+    sky = make_sky(regime, 2, n_cadences=250)
+    corrector = corrected(sky)
+    share = true_share(sky, corrector)
+    assert share < 0.9
+    assert 1 - corrector.result.contamination == pytest.approx(share, abs=0.01)
+    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(1, abs=0.01)
+
+
 def test_no_neighbors_are_no_warning():
     sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=100)
     corrector = PLDCorrector(sky.to_tpf(), neighbors=[])
