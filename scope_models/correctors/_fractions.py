@@ -93,6 +93,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
         centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
         centers = rows_of_star(centers, clean.position, clean.variable, learned)
         cube = without_saturation(cube, full, centers, inside)
+        if pixels.neighbors is not None:  # what is left of their light follows the star
+            varies = clean.position, clean.variable, learned
+            weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
+            clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
     flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)
     total[use], total_err[use] = light, light_error

@@ -515,9 +515,6 @@ def _result(stamp, states, images, flux_err, image_error):
     level = states.level * stamp.planes[inside, 0].sum()
     whole = np.where(inside, images.whole, 0.0)
     rest -= more[:, None] * whole
-    if states.variable.any() and not stamp.columns.single.all():
-        # other stars' light is less certain there, and what is left of it follows this one
-        rest = _without(states.variable, rest, stamp.use)
     weights = whole / states.variance
     variance = stamp.columns.summed(flux_err**2)[:, inside].sum(axis=1)
     return StarModel(
