@@ -107,17 +107,14 @@ class Covariance:
         solved = self.solve_whitened(whitened)
         by_noise = 0.5 * np.einsum("ij,ij->i", solved, solved)
         variance_bar, amplitude_bar, period_bar, walk_bar = self._determinant_gradient
-        by_walk = self.walk * by_noise.sum() + np.vdot(solved, self._walk_below(solved))
+        u, v = np.ascontiguousarray(self._u[:, 2:]), np.ascontiguousarray(self._v[:, 2:])
+        below = driver.matmul_lower(self.time, self._c[2:], u, v, solved, np.zeros_like(solved))
+        by_walk = self.walk * by_noise.sum() + np.vdot(solved, below)
         # the process' part of K is K without the noise
         by_process = 0.5 * np.vdot(whitened, whitened) - by_noise @ self.variance - by_walk
         by_period = np.vdot(solved, self._slope_below(solved))
         slopes = amplitude_bar - by_process, period_bar - by_period, walk_bar - by_walk
         return variance_bar - by_noise, *slopes
-
-    def _walk_below(self, columns):
-        """Multiply the lower triangle of the random walk's kernel with columns."""
-        u, v = np.ascontiguousarray(self._u[:, 2:]), np.ascontiguousarray(self._v[:, 2:])
-        return driver.matmul_lower(self.time, self._c[2:], u, v, columns, np.zeros_like(columns))
 
     def _slope_below(self, columns):
         r"""Multiply the lower triangle of the kernel's derivative by log period with columns.

@@ -64,7 +64,6 @@ _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
-_ALONG_COLUMNS = np.array([[0, 1, 0]] * 3, dtype=bool)
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
 #: Branch: fewer cadences do not determine how the fractions change with position.
@@ -136,11 +135,11 @@ class Pixels:
     def bled(self, use, saturation):
         """Return full pixels and those next to them along columns, which hold bled charge."""
         full = np.sum(self.flux[use] > (saturation or np.inf), axis=0) >= FEWEST
-        return ndimage.binary_dilation(full, _ALONG_COLUMNS)
+        return ndimage.binary_dilation(full, np.ones((3, 1)))
 
     def loses_charge(self, use, saturation):
         """Return whether full pixels are above or below the aperture: it lacks what has bled."""
-        beside = ndimage.binary_dilation(self.aperture, _ALONG_COLUMNS) & ~self.aperture
+        beside = ndimage.binary_dilation(self.aperture, np.ones((3, 1))) & ~self.aperture
         return bool(full_columns(np.where(beside, self.flux, 0.0), use, saturation).any())
 
     def quiet(self, use):

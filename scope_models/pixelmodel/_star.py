@@ -464,13 +464,9 @@ def _without_other_causes(stamp, focus, error, shared, position, variable):
     expected = noise * np.mean(moved**2, axis=0).sum() / signal
     gram = moved.T @ moved + len(moved) * np.diag(places) + expected * np.eye(2)
     right = moved.T @ changed - 2 * len(moved) * quantile(shared[:, use])
-    return _without(variable, focus - position @ np.linalg.solve(gram, right), use)
-
-
-def _without(causes, values, use):
-    """Return values without their mean and what they have in common with causes."""
-    columns = np.column_stack([np.ones(len(values)), causes])
-    return values - columns @ np.linalg.lstsq(columns[use], values[use], rcond=None)[0]
+    focus = focus - position @ np.linalg.solve(gram, right)
+    columns = np.column_stack([np.ones(len(focus)), variable])
+    return focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
 
 
 def _kept(stamp, states, images, focus):
