@@ -229,7 +229,7 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
             error = np.sqrt(states.variance * (mean**2 @ inverse))
     doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
-    return _Shape(coefficients[: first[1]], changes, sizes, 1.0, error, doubt)
+    return _Shape(coefficients[: first[1]], changes, sizes, error=error, doubt=doubt)
 
 
 def _images(stamp, states, shape, functions):
