@@ -91,10 +91,9 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     if full.any():
         inside, learned = pixels.aperture & known, learned[use]
         centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
-        centers = rows_of_star(centers, clean.position, clean.variable, learned)
-        cube = without_saturation(cube, full, centers, inside)
+        varies = clean.position, clean.variable, learned
+        cube = without_saturation(cube, full, rows_of_star(centers, *varies), inside)
         if pixels.neighbors is not None:  # what is left of their light follows the star
-            varies = clean.position, clean.variable, learned
             weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
             clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
     flux[use] = cube

@@ -35,10 +35,11 @@ _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
 #: of the search.
 _ALONE = 10.0
-#: Prior: turns within which a rotation drifts, as spots do, and largest number of its harmonics.
+#: Prior: turns in which a rotation drifts, of short (1 to 4) to long (15) lifetimes of spots (Basri
+#: et al. 2022, arXiv:2110.13284); harmonics: an equatorial spot has a twelfth of the first beyond.
 _TURNS, _HARMONICS = (2.0, 10.0), 3
-#: Tolerance: standard deviations that the frequencies of one reach from a harmonic, and after which
-#: it may repeat itself; and precision of a search for it.
+#: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
+#: which it may repeat itself; and twice the logarithm of the likelihood at the end of a search.
 _REACH, _PRECISION = 3.0, 0.1
 
 

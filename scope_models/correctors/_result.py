@@ -145,7 +145,7 @@ class PLDFit:
 
     @property
     def frequencies(self):
-        """Frequencies of periodic variability in cycles per day, as of pulsations or eclipses."""
+        """Frequencies of waves in cycles per day; of a rotation many, which make its bands."""
         return self.solution.frequencies
 
     @property

@@ -106,7 +106,7 @@ class _Shape:
     main: np.ndarray  # of the functions of position, (rank, n_pixels)
     changes: dict  # of the coarse functions, by the names of `_CHANGES`; empty at first
     sizes: dict  # their standard deviations, as in `_CHANGES`
-    flow: float = 1.0  # what flows as the PSF widens, in the expectation of the width's images
+    flow: float = 1.0  # the flow that the width's images are expected to be, in units of the focus
     error: np.ndarray | float = 0.0  # of the mean of N, (n_pixels,)
     doubt: np.ndarray | float = 0.0  # variance of the model's light, (n, n_pixels)
 
