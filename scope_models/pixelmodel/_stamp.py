@@ -24,7 +24,7 @@ POSITION_PRIOR = 0.02
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 #: Tolerance: what is left of kernels at most, and the largest number of functions.
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-_MAX_RANK, _COARSE_RANK = 200, 25
+_MAX_RANK, _COARSE_RANK = 400, 100
 #: Branch: POS_CORR that deviates by more is wrong (px).
 _ABSURD = 12.0
 #: Prior: degree of the waves along the rows in cadences with rolling bands.
@@ -41,7 +41,7 @@ class Stamp:
 
     time: np.ndarray  # days, (n,)
     light: np.ndarray  # (n, n_pixels)
-    noise: np.ndarray  # typical variance of each pixel, (n_pixels,)
+    noise: np.ndarray  # variance, (n, n_pixels)
     unit: float  # e-/s
     grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
     aperture: np.ndarray  # pixels whose sum is the light, (n_pixels,)
@@ -81,7 +81,7 @@ class States:
     variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
     plane: np.ndarray  # coefficients of the background, (n, k)
     level: np.ndarray  # what its level has beyond them, (n,)
-    variance: np.ndarray  # of each pixel about the model, (n_pixels,)
+    variance: np.ndarray  # about the model, (n, n_pixels)
     good: np.ndarray  # pixels without cosmic rays, (n, n_pixels)
 
 
@@ -116,7 +116,7 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     plane[:, :n_terms] += _planes((flux - typical)[:, dark], planes[dark, :n_terms])
     total = (flux - plane @ planes.T)[:, aperture].sum(axis=1)
     unit = quantile(total[use])
-    light, plane, noise = flux / unit, plane / unit, (quantile(flux_err[use].T) / unit) ** 2
+    light, plane, noise = flux / unit, plane / unit, (flux_err / unit) ** 2
     own = light - plane @ planes.T
     smoothed = Smoother(time, use)
     waves = np.zeros(n)
@@ -125,7 +125,8 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     inside = own[:, aperture], grid[aperture], columns.single[aperture]
     center, expected, known = _expected(*inside, position, total / unit, use)
     grid = np.where(columns.single[:, None], grid, [1, 0] * grid + [0, 1] * center)
-    scale = _most_light(own[use], 3 * np.sqrt(noise), grid - center - expected[use, None])
+    away = grid - center - expected[use, None]
+    scale = _most_light(own[use], 3 * np.sqrt(quantile(noise[use].T)), away)
     stamp = Stamp(
         time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves,
         center, expected, known, scale,

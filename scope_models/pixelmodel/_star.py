@@ -13,8 +13,9 @@ cadence, and smooth functions of position G, W, Q and N of each pixel. Over the 
 to 1, the others to nothing. N is the difference between the constant light and the star's in the
 image; it counts only where the star itself varies strongly (v). The variance of N is the most
 likely one (MacKay 1992, Neural Computation, 4, 415). W is expected to be what flows into the pixels
-as the PSF widens. Images and cadences are fitted in turn. The light is the sum over the aperture;
-what this model misses in each pixel shows how it errs.
+as the PSF widens. Images and cadences are fitted in turn. The noise of a pixel is that of its light
+in each cadence, what the model misses in it, and what is uncertain in the images. The light is the
+sum over the aperture; what this model misses in each pixel shows how it errs.
 """
 
 from dataclasses import dataclass, replace
@@ -215,7 +216,8 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     seen = np.where((stamp.use & states.good.all(axis=1))[:, None], columns, 0)
     values, vectors = np.linalg.eigh(seen.T @ seen)
     right = vectors.T @ (seen.T @ rest)
-    ridge = states.variance / stamp.scale**2
+    variance = states.variance[stamp.use].mean(axis=0)
+    ridge = variance / stamp.scale**2
     inverse = 1 / (np.maximum(values, 0)[:, None] + ridge)
     coefficients = vectors @ (right * inverse)
     changes, error = {}, 0.0
@@ -227,8 +229,8 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
             square = np.sum((coefficients[rows] / stamp.scale) ** 2)
             sizes[name] = size * np.sqrt((square + 1e-12) / (free + 1e-12))
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
-            error = np.sqrt(states.variance * (mean**2 @ inverse))
-    doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
+            error = np.sqrt(variance * (mean**2 @ inverse))
+    doubt = (columns @ vectors) ** 2 @ (variance * inverse)
     return _Shape(coefficients[: first[1]], changes, sizes, error=error, doubt=doubt)
 
 
@@ -272,7 +274,8 @@ def _with_unit(stamp, states, shape, images):
     Returned are states, shape and images.
     """
     fitted, wider = (each[stamp.use].mean(axis=0) for each in (images.slopes[2], images.wider))
-    weight = np.abs(wider) / np.sqrt(states.variance)  # in the wings the flow is less certain
+    # in the wings the flow is less certain
+    weight = np.abs(wider) / np.sqrt(states.variance[stamp.use].mean(axis=0))
     size = np.sum(weight * fitted * wider) / np.sum(weight * wider**2)
     size, slopes = np.clip(size, 1 / _UNIT, _UNIT), images.slopes
     orders = {"width": 1, "squared": 2}
@@ -300,10 +303,10 @@ def _fit_states(stamp, states, shape, images, functions):
     """
     late = "width" in shape.changes
     rest, use = _rest(stamp, states, images), stamp.use
-    spread = 1.4826 * quantile(np.abs(rest[use].T))
-    states = replace(states, variance=np.maximum(stamp.noise, spread**2))
+    excess = (1.4826 * quantile(np.abs(rest[use].T))) ** 2 - quantile(stamp.noise[use].T)
+    states = replace(states, variance=stamp.noise + np.maximum(excess, 0.0) + shape.doubt)
     if late:
-        states = replace(states, good=_without_hits(stamp, states, images, rest, shape.doubt))
+        states = replace(states, good=_without_hits(stamp, states, images, rest))
     hessian, right = _normal_equations(stamp, states, images, rest)
     level = np.abs(states.plane[use, 0] - stamp.base[0])
     tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
@@ -349,7 +352,7 @@ def _fit_states(stamp, states, shape, images, functions):
     return states, error[:4]
 
 
-def _without_hits(stamp, states, images, rest, doubt):
+def _without_hits(stamp, states, images, rest):
     """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
 
     Cadences that are not in use have no influence on those that are.
@@ -359,7 +362,7 @@ def _without_hits(stamp, states, images, rest, doubt):
         seen = np.pad(hot, ((1, 1), (0, 0)))
         return seen[:-2] | seen[2:]
 
-    noise, light = np.sqrt(states.variance + doubt), np.abs(images.whole) + IMAGE_ERROR
+    noise, light = np.sqrt(states.variance), np.abs(images.whole) + IMAGE_ERROR
     hot, use = rest > CLIP * noise + _MISFIT * light, stamp.use[:, None]
     return ~hot | np.where(use, beside(hot & use), beside(hot))
 
@@ -369,22 +372,15 @@ def _normal_equations(stamp, states, images, rest):
 
     The parameters are brightness, position, focus and the background's.
     """
-    root, damaged = 1 / np.sqrt(states.variance), np.nonzero(~states.good)
-    *parts, rest = (values * root for values in (images.whole, *images.slopes, rest))
-    for values in (*parts, rest):
-        values[damaged] = 0
-    planes = stamp.planes * root[:, None]
-    first, k = len(parts), len(parts) + planes.shape[1]
-    hessian, right = np.zeros((k, k, len(rest))), np.zeros((k, len(rest)))
+    root = np.where(states.good, 1 / np.sqrt(states.variance), 0.0)
+    parts = [values * root for values in (images.whole, *images.slopes)]
+    first, rest = len(parts), rest * root
+    parts += [term * root for term in stamp.planes.T]
+    hessian = np.zeros((len(parts), len(parts), len(rest)))
     for i, values in enumerate(parts):
         for j in range(i + 1):
             hessian[i, j] = np.einsum("ij,ij->i", values, parts[j])
-        hessian[first:, i] = (values @ planes).T
-        right[i] = np.einsum("ij,ij->i", values, rest)
-    right[first:] = (rest @ planes).T
-    hessian[first:, first:] = (planes.T @ planes)[:, :, None]
-    for cadence, pixel in zip(*damaged, strict=True):
-        hessian[first:, first:, cadence] -= np.outer(planes[pixel], planes[pixel])
+    right = np.array([np.einsum("ij,ij->i", values, rest) for values in parts])
     hessian[1:first] *= states.brightness
     hessian[:, 1:first] *= states.brightness
     right[1:first] *= states.brightness

@@ -69,6 +69,7 @@ def test_a_star_with_a_real_motion(stars, detector):
     ("detector", "motion", "magnitude", "scale"),
     [
         ("paper", MOTIONS[0], 10.5, 2.0),
+        ("paper", MOTIONS[1], 10.0, 5.0),
         pytest.param("paper", MOTIONS[0], 10.5, 5.0, marks=pytest.mark.slow),
         pytest.param("calibrated", MOTIONS[1], 10.0, 5.0, marks=pytest.mark.slow),
     ],
@@ -77,7 +78,8 @@ def test_a_full_star_with_a_real_motion(stars, detector, motion, magnitude, scal
     """Columns that are full by turns: rows of the star are those of the others."""
     options = {"magnitudes": (magnitude,), "scales": (scale,), "transit_scales": ()}
     (row,) = stars(detector, (motion,), **options, lightkurve_sff=False)
-    # 36 and 67 with the profile of never full columns; 53 where bled charge is another star's
+    # 36 and 67 with the profile of never full columns; 53 where bled charge is another star's; 2.2
+    # if a pixel is as noisy while it holds light as it is typically
     assert row["residual_lightkurve"] < 2
 
 
