@@ -40,11 +40,11 @@ BLOCK = 128
 class Features:
     """Functions of position whose combinations are a Gaussian process of a scale (pivoted)."""
 
-    def __init__(self, position, scale, tolerance, max_rank):
+    def __init__(self, position, scale, tolerance):
         few = position[:: max(1, len(position) // 600)]
-        rest, rows, pivots = np.ones(len(few)), np.zeros((max_rank, len(few))), []
+        rest, rows, pivots = np.ones(len(few)), np.zeros((len(few), len(few))), []
         self._scale = scale
-        for k in range(max_rank):
+        for k in range(len(few)):
             pivot = int(np.argmax(rest))
             if rest[pivot] < tolerance:
                 break

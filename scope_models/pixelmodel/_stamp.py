@@ -22,9 +22,8 @@ __all__ = ["POSITION_PRIOR", "Stamp", "States", "make_stamp"]
 POSITION_PRIOR = 0.02
 #: Prior: scale (px) of the images as functions of position, and of their changes.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
-#: Tolerance: what is left of kernels at most, and the largest number of functions.
+#: Tolerance: what is left of kernels at most.
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-_MAX_RANK, _COARSE_RANK = 400, 100
 #: Branch: POS_CORR that deviates by more is wrong (px).
 _ABSURD = 12.0
 #: Prior: degree of the waves along the rows in cadences with rolling bands.
@@ -130,8 +129,8 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     stamp = Stamp(
         time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves,
         center, expected, known, scale,
-        Features(expected[use], _SCALE, _TOLERANCE, _MAX_RANK),
-        Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK),
+        Features(expected[use], _SCALE, _TOLERANCE),
+        Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE),
         flow, smoothed, columns, terms,
     )  # fmt: skip
     zero, good = np.zeros(n), np.ones(light.shape, dtype=bool)

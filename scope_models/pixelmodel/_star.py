@@ -303,7 +303,7 @@ def _fit_states(stamp, states, shape, images, functions):
     """
     late = "width" in shape.changes
     rest, use = _rest(stamp, states, images), stamp.use
-    excess = (1.4826 * quantile(np.abs(rest[use].T))) ** 2 - quantile(stamp.noise[use].T)
+    excess = quantile(((1.4826 * rest) ** 2 - stamp.noise)[use].T)
     states = replace(states, variance=stamp.noise + np.maximum(excess, 0.0) + shape.doubt)
     if late:
         states = replace(states, good=_without_hits(stamp, states, images, rest))
