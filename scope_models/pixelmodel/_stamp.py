@@ -82,6 +82,7 @@ class States:
     level: np.ndarray  # what its level has beyond them, (n,)
     variance: np.ndarray  # about the model, (n, n_pixels)
     good: np.ndarray  # pixels without cosmic rays, (n, n_pixels)
+    misfit: np.ndarray  # factor of the noise of a cadence, (n, 1)
 
 
 def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None, full=None):
@@ -133,8 +134,8 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
         Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE),
         flow, smoothed, columns, terms,
     )  # fmt: skip
-    zero, good = np.zeros(n), np.ones(light.shape, dtype=bool)
-    return stamp, States(total / unit, expected, zero, zero, plane, zero, noise, good)
+    zero, good, one = np.zeros(n), np.ones(light.shape, dtype=bool), np.ones((n, 1))
+    return stamp, States(total / unit, expected, zero, zero, plane, zero, noise, good, one)
 
 
 def _planes(change, terms):

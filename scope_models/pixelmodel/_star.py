@@ -14,8 +14,9 @@ to 1, the others to nothing. N is the difference between the constant light and 
 image; it counts only where the star itself varies strongly (v). The variance of N is the most
 likely one (MacKay 1992, Neural Computation, 4, 415). W is expected to be what flows into the pixels
 as the PSF widens. Images and cadences are fitted in turn. The noise of a pixel is that of its light
-in each cadence, what the model misses in it, and what is uncertain in the images. The light is the
-sum over the aperture; what this model misses in each pixel shows how it errs.
+in each cadence, what the model misses in it, and what is uncertain in the images; cadences in which
+pixels fall short of the model by more than this have more, and less weight in the images (Huber's).
+The light is the sum over the aperture; what this model misses in each pixel shows how it errs.
 """
 
 from dataclasses import dataclass, replace
@@ -53,9 +54,9 @@ _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 _RESPONSE_PRIOR = 0.05
-#: Branch: cosmic rays exceed this part of a pixel's light, by which the functions of position may
-#: miss where the star moves far.
-_MISFIT = 0.05
+#: Prior: error of a pixel's light relative to it, by which the functions of position may miss where
+#: the star moves far.
+_MISFIT = 0.01
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
@@ -186,8 +187,7 @@ def _by_turns(stamp, states, shape, images=None, *, alone=False):
             np.abs(new - old) / error
             for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
         ]
-        small = (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all()
-        if small and shape.changes:
+        if shape.changes and (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all():
             break
     return states, shape
 
@@ -213,8 +213,9 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
     first = np.cumsum([0, *(part.shape[1] for part in columns)])
     columns = np.concatenate(columns, axis=1)
-    seen = np.where((stamp.use & states.good.all(axis=1))[:, None], columns, 0)
-    values, vectors = np.linalg.eigh(seen.T @ seen)
+    weight = np.minimum(CLIP / states.misfit, 1.0)  # Huber's
+    seen = np.where((stamp.use & states.good.all(axis=1))[:, None], weight * columns, 0)
+    values, vectors = np.linalg.eigh(seen.T @ columns)
     right = vectors.T @ (seen.T @ rest)
     variance = states.variance[stamp.use].mean(axis=0)
     ridge = variance / stamp.scale**2
@@ -287,11 +288,8 @@ def _with_unit(stamp, states, shape, images):
 
 def _rest(stamp, states, images):
     """Return what images and background leave of the light."""
-    rest = stamp.light - states.plane @ stamp.planes.T
-    rest -= states.brightness[:, None] * images.whole
-    if np.ndim(images.constant):
-        rest += states.variable[:, None] * images.constant
-    return rest
+    rest = stamp.light - states.plane @ stamp.planes.T + states.variable[:, None] * images.constant
+    return rest - states.brightness[:, None] * images.whole
 
 
 def _fit_states(stamp, states, shape, images, functions):
@@ -305,9 +303,10 @@ def _fit_states(stamp, states, shape, images, functions):
     rest, use = _rest(stamp, states, images), stamp.use
     excess = quantile(((1.4826 * rest) ** 2 - stamp.noise)[use].T)
     states = replace(states, variance=stamp.noise + np.maximum(excess, 0.0) + shape.doubt)
+    noise = np.sqrt(states.variance)
     if late:
-        states = replace(states, good=_without_hits(stamp, states, images, rest))
-    hessian, right = _normal_equations(stamp, states, images, rest)
+        states, noise = _without_hits(stamp, states, images, rest)
+    hessian, right = _normal_equations(stamp, states, images, rest, noise)
     level = np.abs(states.plane[use, 0] - stamp.base[0])
     tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
     tilt, flat = np.maximum(stamp.waves, tilt) ** -2.0, np.maximum(stamp.waves, 1e-9) ** -2.0
@@ -336,7 +335,8 @@ def _fit_states(stamp, states, shape, images, functions):
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]
     shared = by_focus[1:3] * error[3] ** 2
-    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable)
+    poor = states.misfit
+    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable, poor)
     focus, smooth = stamp.smoothed(found, error[3], "focus")
     error[3] = np.maximum(smooth, error[3] * np.sqrt(stamp.smoothed.step / TRANSIT))
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
@@ -353,9 +353,11 @@ def _fit_states(stamp, states, shape, images, functions):
 
 
 def _without_hits(stamp, states, images, rest):
-    """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
+    """Return the states without cosmic rays, and the noise of each pixel.
 
-    Cadences that are not in use have no influence on those that are.
+    Cosmic rays exceed the model in one cadence only, by more than other pixels fall short of it.
+    Where these do so by more than noise can, as in a jump within an exposure, the noise of all
+    pixels is as large. Cadences that are not in use have no influence on those that are.
     """
 
     def beside(hot):
@@ -363,16 +365,20 @@ def _without_hits(stamp, states, images, rest):
         return seen[:-2] | seen[2:]
 
     noise, light = np.sqrt(states.variance), np.abs(images.whole) + IMAGE_ERROR
-    hot, use = rest > CLIP * noise + _MISFIT * light, stamp.use[:, None]
-    return ~hot | np.where(use, beside(hot & use), beside(hot))
+    size, use = rest / (noise + _MISFIT * light), stamp.use[:, None]
+    missing = np.sqrt(np.sum(np.where(size < -CLIP, size, 0.0) ** 2, axis=1, keepdims=True))
+    hot = size > np.maximum(missing, CLIP)
+    good, poor = ~hot | np.where(use, beside(hot & use), beside(hot)), missing > CLIP
+    states = replace(states, good=good, misfit=np.where(poor, missing, 1.0))
+    return states, np.where(poor, missing * (noise + _MISFIT * light), noise)
 
 
-def _normal_equations(stamp, states, images, rest):
+def _normal_equations(stamp, states, images, rest, noise):
     """Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
     The parameters are brightness, position, focus and the background's.
     """
-    root = np.where(states.good, 1 / np.sqrt(states.variance), 0.0)
+    root = np.where(states.good, 1 / noise, 0.0)
     parts = [values * root for values in (images.whole, *images.slopes)]
     first, rest = len(parts), rest * root
     parts += [term * root for term in stamp.planes.T]
@@ -388,10 +394,7 @@ def _normal_equations(stamp, states, images, rest):
 
 
 def _background(stamp, plane, errors, *, late):
-    """Return the smoothed background, in which jumps and bands stay, and what more its level had.
-
-    It is smooth from the second step on.
-    """
+    """Return the background, if ``late`` smooth but for jumps and bands, and what was not so."""
     plane = plane - quantile(plane[stamp.use].T) + stamp.base
     level = plane[:, 0].copy()
     if late:
@@ -444,7 +447,7 @@ def _on_scale(stamp, position, variable):
     return position + columns @ change
 
 
-def _without_other_causes(stamp, focus, error, shared, position, variable):
+def _without_other_causes(stamp, focus, error, shared, position, variable, misfit):
     """Return the focus without what positions and brightness explain.
 
     A width that follows the position may as well be in the images. Of all courses that differ by
@@ -454,7 +457,8 @@ def _without_other_causes(stamp, focus, error, shared, position, variable):
     a ``shared`` covariance, ``(2, n)``, which is no reason either.
     """
     use = stamp.use
-    moved, changed = np.diff(position[use], axis=0), np.diff(focus[use])
+    between = np.maximum(misfit[use][1:], misfit[use][:-1])
+    moved, changed = np.diff(position[use], axis=0) / between, np.diff(focus[use]) / between[:, 0]
     *places, noise = 2 * quantile(error[1:, use]) ** 2
     signal = max(np.mean(changed**2) - noise, 1e-12 * noise)
     expected = noise * np.mean(moved**2, axis=0).sum() / signal

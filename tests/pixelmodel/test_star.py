@@ -194,6 +194,22 @@ def test_cosmic_rays_are_replaced(pixel, charge):
     assert abs(found.light[200] / np.median(found.light) - 1) < 8e-4
 
 
+def test_a_jump_within_an_exposure_is_no_cosmic_ray():
+    """Two half images are not where one image is, and each pixel of both exceeds it."""
+    time = np.arange(220)
+    y, rolls = 4 + 2 * (time / 12 % 1 - 0.5), np.arange(12, 220, 36)
+    x = 4 + 0.1 * (y - 4)
+    light = FLUX * image(x, y)
+    light[rolls] = 0.5 * (light[rolls - 1] + light[rolls])
+    rng = np.random.default_rng(8)
+    measured = np.column_stack([x, y]) + 0.003 * rng.normal(size=(len(x), 2))
+    flux, error = observed(light)
+    found = fit_star(0.02 * time, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    assert found.repaired[rolls].mean() < 0.01
+    assert np.abs(found.light / FLUX - 1)[rolls].max() < 5e-3
+    assert np.std(np.delete(found.light, rolls) / FLUX) < 4e-4
+
+
 def test_absurd_and_unknown_positions_do_no_harm():
     x, y, measured = motion()
     measured[::50] = np.nan
@@ -296,9 +312,9 @@ def test_correlated_errors_do_not_make_a_width_follow_the_position():
     position = np.column_stack([x + noise[0], 0.5 * x + 0.001 * rng.normal(size=len(time))])
     shared = np.full((2, len(time)), 8e-7) * [[1], [0]]
     stamp = SimpleNamespace(use=np.ones(len(time), dtype=bool))
-    focus, error = noise[1] + drift, np.full((4, len(time)), 1e-3)
+    focus, error, misfit = noise[1] + drift, np.full((4, len(time)), 1e-3), np.ones((3000, 1))
     for covariance, least, most in ((shared, 0.0, 0.001), (0 * shared, 0.003, 0.1)):
-        left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x)
+        left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x, misfit)
         slope = np.polyfit(x, focus - left, 1)[0]
         assert least <= abs(slope) <= most
 
