@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from scope_models.correctors._pixels import CADENCES_TO_PREDICT
 from scope_models.correctors._saturation import find_row_centers, rows_of_star, without_saturation
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._star import fit_star
@@ -22,13 +21,13 @@ _LARGEST_SHARE = 2.0
 def can_predict(pixels, saturation, use):
     """Whether the pixel fractions can be predicted, learned from the cadences in ``use``.
 
-    Not with few cadences or pixels, of which full columns, at ``saturation``, e-/s, are one each,
-    without FLUX_ERR, nor for a moving aperture over full columns.
+    Not with few pixels, of which full columns, at ``saturation``, e-/s, are one each, without
+    FLUX_ERR, nor for a moving aperture over full columns.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
     full = pixels.full_columns(use, saturation)
     n_pixels = full.sum() + (pixels.aperture & ~full).sum()
-    if len(flux) < CADENCES_TO_PREDICT or n_pixels < _PIXELS_TO_PREDICT:
+    if n_pixels < _PIXELS_TO_PREDICT:
         return False
     moving = pixels.weights is not None and full.any()
     return not moving and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())

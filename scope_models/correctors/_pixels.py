@@ -23,7 +23,6 @@ from scope_models.pixelmodel._position import (
 from scope_models.pixelmodel._smoothing import CLIP, quantile
 
 __all__ = [
-    "CADENCES_TO_PREDICT",
     "LARGEST_CORRECTION",
     "NOISIER",
     "OTHER_STAR",
@@ -66,8 +65,8 @@ _MARGIN = 2
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
-#: Branch: fewer cadences do not determine how the fractions change with position.
-CADENCES_TO_PREDICT = 200
+#: Branch: fewer cadences do not determine the most precise aperture.
+_CADENCES_TO_CHOOSE = 200
 
 
 @dataclass(frozen=True)
@@ -262,7 +261,7 @@ def _most_precise(flux, flux_err, own, candidates, pos_corr):
     use = usable_positions(pos_corr) & np.isfinite(flux[:, own]).all(axis=1)
     candidates = candidates & np.isfinite(flux[use]).all(axis=0)
     variance = flux_err[use][:, candidates] ** 2
-    if use.sum() < CADENCES_TO_PREDICT or not (variance > 0).all():
+    if use.sum() < _CADENCES_TO_CHOOSE or not (variance > 0).all():
         return own
     best = np.zeros_like(own)
     best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use])

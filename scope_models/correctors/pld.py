@@ -177,9 +177,9 @@ class PLDCorrector(LightkurveNames, Corrector):
             Pixel fractions as a model of the star, its motion, focus and background predicts them,
             with what the pixels show beyond it as further regressors, or as they are measured.
             Measured fractions follow the star where other light is in the aperture.
-            ``pld_aperture_mask``, background as a regressor, fewer than 200 cadences or 4 pixels,
-            a star that is at too many places for its cadences, and a moving aperture over full
-            pixels allow measured ones only.
+            ``pld_aperture_mask``, background as a regressor, fewer than 4 pixels, a star that is at
+            too many places for its cadences, and a moving aperture over full pixels allow measured
+            ones only.
         regressors : object or list, optional
             Further columns: arrays ``(n_cadences,)`` or ``(n_cadences, n)``, lightkurve's design
             matrices, its cotrending basis vectors, which are matched by their cadence numbers as

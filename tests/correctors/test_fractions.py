@@ -207,6 +207,13 @@ def test_a_short_file_of_a_star_that_jumps_within_exposures():
     assert mad_std(flux, ignore_nan=True) < 1e-4 * np.nanmedian(flux)  # 66 ppm, 3062 without
 
 
+def test_a_short_file_keeps_the_variability_of_a_star_with_a_neighbor():
+    sky = make_sky("k2-1x-rr-lyrae-neighbor", seed=320, n_cadences=150)
+    lc = PLDCorrector(sky.to_tpf(quality_bitmask="none")).correct()
+    flux = lc.flux.value / sky.true_flux
+    assert mad_std(flux, ignore_nan=True) < 2e-4 * np.nanmedian(flux)  # 84 ppm, 13 % if measured
+
+
 def test_predicted_fractions_follow_the_seeing_of_a_bright_star():
     sky = make_sky("ground-seeing", seed=6302, n_cadences=800)
     corrector = PLDCorrector(sky.to_tpf())
