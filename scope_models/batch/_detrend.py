@@ -56,8 +56,8 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
         row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
         row["n_pixels"] = int(corrector.aperture_mask.sum())
         for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-            row[f"{prefix}cdpp"] = noise_of(lc)
-            row[f"{prefix}cdpp_everest"] = noise_of(lc, "everest")
+            row[f"{prefix}cdpp"] = noise_of(_files.written(lc))
+            row[f"{prefix}cdpp_everest"] = noise_of(_files.written(lc), "everest")
         row["crowding"] = number_of(header.get("CROWDSAP"))
         if survival:
             row["survival"] = number_of(getattr(corrector.result, "transit_survival", None))

@@ -156,6 +156,11 @@ def _states(corrector, series):
     ]
 
 
+def written(lc):
+    """Return a light curve with the flux that a file holds, of 32 bits."""
+    return type(lc)(time=lc.time, flux=lc.flux.astype(np.float32))
+
+
 def _columns(corrector):
     """Return the columns of the light curve."""
     lc, original = corrector.corrected_lc, corrector.original_lc
@@ -200,5 +205,5 @@ def _cards(corrector, survival):
             cards.append(("PLDSURVE", result.transit_survival_err, "its standard deviation"))
     for name, lc in (("RAWCDPP", corrector.original_lc), ("CDPP", corrector.corrected_lc)):
         with suppress(ValueError):  # too few cadences
-            cards.append((name, cdpp(lc), "[ppm] 6.5-h CDPP, convention of lightkurve"))
+            cards.append((name, cdpp(written(lc)), "[ppm] 6.5-h CDPP, convention of lightkurve"))
     return cards

@@ -27,10 +27,9 @@ def can_predict(pixels, saturation, use):
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
     full = pixels.full_columns(use, saturation)
     n_pixels = full.sum() + (pixels.aperture & ~full).sum()
-    if n_pixels < _PIXELS_TO_PREDICT:
+    if n_pixels < _PIXELS_TO_PREDICT or (pixels.weights is not None and full.any()):
         return False
-    moving = pixels.weights is not None and full.any()
-    return not moving and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+    return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
 def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None):

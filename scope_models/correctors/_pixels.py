@@ -65,8 +65,6 @@ _MARGIN = 2
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 OTHER_STAR = 0.02
-#: Branch: fewer cadences do not determine the most precise aperture.
-_CADENCES_TO_CHOOSE = 200
 
 
 @dataclass(frozen=True)
@@ -257,11 +255,12 @@ def without_background(flux):
 
 
 def _most_precise(flux, flux_err, own, candidates, pos_corr):
-    """Return the best part of the candidates, or the lit pixels if positions are missing."""
-    use = usable_positions(pos_corr) & np.isfinite(flux[:, own]).all(axis=1)
+    """Return the best part of the candidates, or the lit pixels if most positions are missing."""
+    lit = np.isfinite(flux[:, own]).all(axis=1)
+    use = usable_positions(pos_corr) & lit
     candidates = candidates & np.isfinite(flux[use]).all(axis=0)
     variance = flux_err[use][:, candidates] ** 2
-    if use.sum() < _CADENCES_TO_CHOOSE or not (variance > 0).all():
+    if use.sum() <= lit.sum() / 2 or not (variance > 0).all():
         return own
     best = np.zeros_like(own)
     best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use])

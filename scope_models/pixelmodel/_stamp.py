@@ -82,7 +82,7 @@ class States:
     level: np.ndarray  # what its level has beyond them, (n,)
     variance: np.ndarray  # about the model, (n, n_pixels)
     good: np.ndarray  # pixels without cosmic rays, (n, n_pixels)
-    misfit: np.ndarray  # factor of the noise of a cadence, (n, 1)
+    noisy: np.ndarray  # factor of the noise of a cadence, (n, 1)
 
 
 def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None, full=None):

@@ -54,8 +54,8 @@ _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 _RESPONSE_PRIOR = 0.05
-#: Prior: error of a pixel's light relative to it, by which the functions of position may miss where
-#: the star moves far.
+#: Prior: relative error of a pixel's light where no other cadence shows the star, that of responses
+#: of pixels (1 %, Kepler Instrument Handbook).
 _MISFIT = 0.01
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
@@ -213,7 +213,7 @@ def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
     first = np.cumsum([0, *(part.shape[1] for part in columns)])
     columns = np.concatenate(columns, axis=1)
-    weight = np.minimum(CLIP / states.misfit, 1.0)  # Huber's
+    weight = np.minimum(CLIP / states.noisy, 1.0)  # Huber's
     seen = np.where((stamp.use & states.good.all(axis=1))[:, None], weight * columns, 0)
     values, vectors = np.linalg.eigh(seen.T @ columns)
     right = vectors.T @ (seen.T @ rest)
@@ -305,7 +305,7 @@ def _fit_states(stamp, states, shape, images, functions):
     states = replace(states, variance=stamp.noise + np.maximum(excess, 0.0) + shape.doubt)
     noise = np.sqrt(states.variance)
     if late:
-        states, noise = _without_hits(stamp, states, images, rest)
+        states, noise = _without_hits(stamp, states, images, rest, noise)
     hessian, right = _normal_equations(stamp, states, images, rest, noise)
     level = np.abs(states.plane[use, 0] - stamp.base[0])
     tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
@@ -335,8 +335,7 @@ def _fit_states(stamp, states, shape, images, functions):
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]
     shared = by_focus[1:3] * error[3] ** 2
-    poor = states.misfit
-    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable, poor)
+    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable, states.noisy)
     focus, smooth = stamp.smoothed(found, error[3], "focus")
     error[3] = np.maximum(smooth, error[3] * np.sqrt(stamp.smoothed.step / TRANSIT))
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
@@ -352,7 +351,7 @@ def _fit_states(stamp, states, shape, images, functions):
     return states, error[:4]
 
 
-def _without_hits(stamp, states, images, rest):
+def _without_hits(stamp, states, images, rest, noise):
     """Return the states without cosmic rays, and the noise of each pixel.
 
     Cosmic rays exceed the model in one cadence only, by more than other pixels fall short of it.
@@ -364,13 +363,13 @@ def _without_hits(stamp, states, images, rest):
         seen = np.pad(hot, ((1, 1), (0, 0)))
         return seen[:-2] | seen[2:]
 
-    noise, light = np.sqrt(states.variance), np.abs(images.whole) + IMAGE_ERROR
-    size, use = rest / (noise + _MISFIT * light), stamp.use[:, None]
+    error = noise + _MISFIT * (np.abs(images.whole) + IMAGE_ERROR)
+    size, use = rest / error, stamp.use[:, None]
     missing = np.sqrt(np.sum(np.where(size < -CLIP, size, 0.0) ** 2, axis=1, keepdims=True))
     hot = size > np.maximum(missing, CLIP)
     good, poor = ~hot | np.where(use, beside(hot & use), beside(hot)), missing > CLIP
-    states = replace(states, good=good, misfit=np.where(poor, missing, 1.0))
-    return states, np.where(poor, missing * (noise + _MISFIT * light), noise)
+    states = replace(states, good=good, noisy=np.where(poor, missing, 1.0))
+    return states, np.where(poor, missing * error, noise)
 
 
 def _normal_equations(stamp, states, images, rest, noise):
@@ -447,7 +446,7 @@ def _on_scale(stamp, position, variable):
     return position + columns @ change
 
 
-def _without_other_causes(stamp, focus, error, shared, position, variable, misfit):
+def _without_other_causes(stamp, focus, error, shared, position, variable, noisy):
     """Return the focus without what positions and brightness explain.
 
     A width that follows the position may as well be in the images. Of all courses that differ by
@@ -457,7 +456,7 @@ def _without_other_causes(stamp, focus, error, shared, position, variable, misfi
     a ``shared`` covariance, ``(2, n)``, which is no reason either.
     """
     use = stamp.use
-    between = np.maximum(misfit[use][1:], misfit[use][:-1])
+    between = np.maximum(noisy[use][1:], noisy[use][:-1])
     moved, changed = np.diff(position[use], axis=0) / between, np.diff(focus[use]) / between[:, 0]
     *places, noise = 2 * quantile(error[1:, use]) ** 2
     signal = max(np.mean(changed**2) - noise, 1e-12 * noise)

@@ -214,6 +214,17 @@ def test_a_short_file_keeps_the_variability_of_a_star_with_a_neighbor():
     assert mad_std(flux, ignore_nan=True) < 2e-4 * np.nanmedian(flux)  # 84 ppm, 13 % if measured
 
 
+def test_an_aperture_is_not_chosen_by_few_positions():
+    hdus = make_sky("k2-5x-constant", seed=2028, n_cadences=120).to_tpf(quality_bitmask="none").hdu
+    for name in ("POS_CORR1", "POS_CORR2"):
+        hdus[1].data[name][1:] = np.nan
+    known = PLDCorrector(KeplerTargetPixelFile(hdus, quality_bitmask="none"))
+    for name in ("POS_CORR1", "POS_CORR2"):
+        hdus[1].data[name][:] = np.nan
+    unknown = PLDCorrector(KeplerTargetPixelFile(hdus, quality_bitmask="none"))
+    assert (known.aperture_mask == unknown.aperture_mask).all()
+
+
 def test_predicted_fractions_follow_the_seeing_of_a_bright_star():
     sky = make_sky("ground-seeing", seed=6302, n_cadences=800)
     corrector = PLDCorrector(sky.to_tpf())

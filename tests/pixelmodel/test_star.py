@@ -195,7 +195,7 @@ def test_cosmic_rays_are_replaced(pixel, charge):
 
 
 def test_a_jump_within_an_exposure_is_no_cosmic_ray():
-    """Two half images are not where one image is, and each pixel of both exceeds it."""
+    """Nor do places that the star rarely visits, beside which it jumps, lose their images."""
     time = np.arange(220)
     y, rolls = 4 + 2 * (time / 12 % 1 - 0.5), np.arange(12, 220, 36)
     x = 4 + 0.1 * (y - 4)
@@ -312,9 +312,9 @@ def test_correlated_errors_do_not_make_a_width_follow_the_position():
     position = np.column_stack([x + noise[0], 0.5 * x + 0.001 * rng.normal(size=len(time))])
     shared = np.full((2, len(time)), 8e-7) * [[1], [0]]
     stamp = SimpleNamespace(use=np.ones(len(time), dtype=bool))
-    focus, error, misfit = noise[1] + drift, np.full((4, len(time)), 1e-3), np.ones((3000, 1))
+    focus, error, one = noise[1] + drift, np.full((4, len(time)), 1e-3), np.ones((3000, 1))
     for covariance, least, most in ((shared, 0.0, 0.001), (0 * shared, 0.003, 0.1)):
-        left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x, misfit)
+        left = _without_other_causes(stamp, focus, error, covariance, position, 0 * x, one)
         slope = np.polyfit(x, focus - left, 1)[0]
         assert least <= abs(slope) <= most
 
