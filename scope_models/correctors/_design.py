@@ -30,10 +30,9 @@ __all__ = [
     "outside_column",
 ]
 
-#: Tolerance: columns are dropped when they could not change the flux by this part of its noise's
-#: variance with coefficients of one, or of a hundred for higher orders, which may have larger ones.
-_TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-6
-_MAX_RANK = 300
+#: Tolerance: columns are dropped when coefficients of one could not change chi-squared by this, or
+#: those of 30, which real stars have, by about one; and their largest number.
+_TOLERANCE, _MAX_RANK = 1e-3, 300
 #: Prior: products with pixels so far apart have common coefficients (px); number of components of
 #: files of other stars.
 _REACH = 2
@@ -71,32 +70,33 @@ def make_regressors(pixels, use, options):
     images /= total[:, None, None]
     fractions = images[:, mask]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
-    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)[:, :most]
+    least = _TOLERANCE * noise / use.sum()
+    first = principal_columns(center(fractions, use), use, least)[:, :most]
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
-        groups = {f"order {n}": power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)[0]}
+        groups = {f"order {n}": power_columns(fractions, n, use, least, _MAX_RANK)[0]}
         if n == 2:
             groups["shared"] = shared_columns(images, _REACH)
             if options.predicted:  # responses within pixels have much in common
                 groups = {"order 2": np.concatenate([*groups.values()], axis=1)}
         for name, products in groups.items():
-            columns = principal_columns(center(products, use), use, _HIGHER_TOLERANCE * noise)
+            columns = principal_columns(center(products, use), use, least)
             parts[name] = columns[:, :most]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():
-        parts[name] = _completed(columns[usable], use, noise)
+        parts[name] = _completed(columns[usable], use, least)
     return Regressors.join(parts)
 
 
-def _completed(columns, use, noise):
+def _completed(columns, use, least):
     """Principal components of columns that may have gaps; a gap is filled with the mean."""
     known = np.isfinite(columns).all(axis=1)
     fit = use & known
     if not fit.any():
         return np.empty((len(columns), 0))
     centered = np.where(known[:, None], columns - columns[fit].mean(axis=0), 0.0)
-    return principal_columns(centered, fit, _TOLERANCE * noise)
+    return principal_columns(centered, fit, least)
 
 
 def _components(flux, total, fit=None):

@@ -17,8 +17,6 @@ from scope_models.correctors._short import short_changes, with_edges
 
 __all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 
-#: Branch: logarithm of the odds that are decisive on Jeffreys' scale.
-_DECISIVE = np.log(100)
 #: Tolerance: factor of the variance of cadences that have next to no weight.
 _NO_WEIGHT = 1e6
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
@@ -93,12 +91,6 @@ class Solution:
         if self.predicted and self.hyper and self.hyper.walk:  # which noise resembles
             found["noise_error"] = NOISE_ERROR
         return found
-
-    @property
-    def noise_is_outlier(self):
-        """Whether there is decisively more white noise than FLUX_ERR may lack."""
-        excess = np.log(self.hyper.noise_scale) / NOISE_ERROR
-        return excess > np.sqrt(2 * _DECISIVE)
 
     @cached_property
     def process(self):
@@ -386,7 +378,7 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, *, predi
         solution = solution.without_short(use)
         use = solution.use
         solution = _without_outliers(solution, make_regressors, options)
-    if options.trend == "gp" and solution.noise_is_outlier:
+    if options.trend == "gp" and np.log(solution.hyper.noise_scale) > NOISE_ERROR:
         walk = solution.hyper.noise_scale * np.median(variance)
         walking = replace(solution, use=use, hyper=replace(solution.hyper, walk=walk))
         walking = _without_outliers(walking, make_regressors, options)

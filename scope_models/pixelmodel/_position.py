@@ -30,7 +30,7 @@ REWEIGHTS = 10
 _LOST = 0.01
 #: Branch: the background is first sought in this part of the pixels, in so many at least for a
 #: slope.
-DARK_PART, FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
+DARK_PART, FEWEST_DARK = 0.3, 8
 #: Prior: error of the target's place by the file's coordinates, px: twice that of eleven real ones.
 COORDINATES = 1.0
 #: Tolerance: cadences whose arrays a processor's cache holds.
@@ -170,11 +170,7 @@ def dark_plane(image, terms):
     dark = image <= np.quantile(image, DARK_PART)
     if dark.sum() < FEWEST_DARK:
         return np.array([np.median(image[dark]), 0.0, 0.0])
-    for _ in range(_PLANE_FITS):
-        plane = np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
-        rest = image - terms @ plane
-        dark = rest <= 2.5 * 1.4826 * np.median(np.abs(rest[dark]))
-    return plane
+    return np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
 
 
 def precise_aperture(light, variance, position):

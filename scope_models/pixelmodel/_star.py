@@ -22,6 +22,7 @@ The light is the sum over the aperture; what this model misses in each pixel sho
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
@@ -41,8 +42,6 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 #: positions and width are less than these parts of their errors, of the width that of its course
 #: or of a mean of 6.5 h.
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
-#: Tolerance: largest changes in a step of brightness, both positions (px) and width.
-_LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: largest change of the unit of the widths in a step, as a factor.
 _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
@@ -264,8 +263,7 @@ def _images(stamp, states, shape, functions):
         size = states.position[stamp.use].var(axis=0)
         shown = size / (size + POSITION_PRIOR**2)
         pairs = zip(shown, slopes, stamp.flow.moved(image), strict=True)
-        slopes = [part * slope + (1 - part) * flow for part, slope, flow in pairs]
-        slopes.append(wider)
+        slopes = [part * slope + (1 - part) * flow for part, slope, flow in pairs] + [wider]
     return _Images(image, whole, slopes, constant, wider)
 
 
@@ -325,7 +323,6 @@ def _fit_states(stamp, states, shape, images, functions):
         hessian[k, k] += weight
         right[k] += weight * distance
     change, factor = _solved(hessian, right)
-    change[:4] = np.clip(change[:4], -_LARGEST, _LARGEST)
     error = np.sqrt(np.einsum("jin,jin->in", factor, factor))
     by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
     brightness, position = states.brightness + change[0], states.position + change[1:3].T
@@ -334,12 +331,10 @@ def _fit_states(stamp, states, shape, images, functions):
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + change[3]
-    shared = by_focus[1:3] * error[3] ** 2
-    found = _without_other_causes(stamp, focus, error[:4], shared, position, variable, states.noisy)
+    found = _without_other_causes(stamp, focus, error[3], position, variable, states)
     focus, smooth = stamp.smoothed(found, error[3], "focus")
     error[3] = np.maximum(smooth, error[3] * np.sqrt(stamp.smoothed.step / TRANSIT))
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
-    shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
     brightness += shift[0]
     position += shift[1:3].T
     plane += shift[4:].T
@@ -446,24 +441,25 @@ def _on_scale(stamp, position, variable):
     return position + columns @ change
 
 
-def _without_other_causes(stamp, focus, error, shared, position, variable, noisy):
+def _without_other_causes(stamp, focus, error, position, variable, states):
     """Return the focus without what positions and brightness explain.
 
     A width that follows the position may as well be in the images. Of all courses that differ by
-    this, that which changes least from cadence to cadence is taken: a slow drift of both is no
-    reason why the focus should follow the roll. What changes have beyond noise is the variance that
-    positions are expected to explain, beyond their uncertainty. Errors of positions and focus have
-    a ``shared`` covariance, ``(2, n)``, which is no reason either.
+    this, the most likely one is taken, of a random walk with the changes that the focus had in
+    these ``states`` and noise of this ``error``: a slow drift of both is no reason why the focus
+    should follow the roll.
     """
     use = stamp.use
-    between = np.maximum(noisy[use][1:], noisy[use][:-1])
-    moved, changed = np.diff(position[use], axis=0) / between, np.diff(focus[use]) / between[:, 0]
-    *places, noise = 2 * quantile(error[1:, use]) ** 2
-    signal = max(np.mean(changed**2) - noise, 1e-12 * noise)
-    expected = noise * np.mean(moved**2, axis=0).sum() / signal
-    gram = moved.T @ moved + len(moved) * np.diag(places) + expected * np.eye(2)
-    right = moved.T @ changed - 2 * len(moved) * quantile(shared[:, use])
-    focus = focus - position @ np.linalg.solve(gram, right)
+    count, weight = use.sum(), states.noisy[use, 0] ** -2
+    walk = max(np.mean(np.diff(states.focus[use]) ** 2), 1e-300)
+    ratio = min(quantile(error[use]) ** 2 / walk, count**2)  # what walks less does not walk
+    bands = np.full((2, count), -ratio)
+    bands[1] = weight + 2 * ratio
+    bands[1, [0, -1]] -= ratio
+    columns = weight[:, None] * np.column_stack([position, focus])[use]
+    columns -= weight[:, None] * solveh_banded(bands, columns)
+    causes = np.linalg.lstsq(position[use].T @ columns[:, :2], position[use].T @ columns[:, 2])[0]
+    focus = focus - position @ causes
     columns = np.column_stack([np.ones(len(focus)), variable])
     return focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
 

@@ -97,7 +97,7 @@ def test_design_matrix(corrector):
     np.testing.assert_allclose(sigma, corrector.result.prior_variance)
     collection = corrector.create_design_matrix(order=1)
     assert collection.matrices[0].values.shape[1] == corrector.result.n_columns[0]
-    assert [m.name for m in collection.matrices] == ["order 1", "focus", "misfit"]
+    assert [m.name for m in collection.matrices] == ["order 1", "focus", "aperture", "misfit"]
 
 
 def drifting(star, corrector, drift):

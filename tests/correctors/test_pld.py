@@ -100,7 +100,7 @@ def test_orders(star, order):
 def test_result(corrected):
     result = corrected.result
     table = result.to_table()
-    groups = ["order 1", "order 2", "focus", "misfit"]
+    groups = ["order 1", "order 2", "focus", "aperture", "misfit"]
     assert list(table["group"]) == groups
     used = table["effective_parameters"]
     assert np.all(used >= -1e-6)
@@ -119,7 +119,7 @@ def test_result_is_frozen_and_short(corrected):
     assert isinstance(result, PLDFit)
     assert isinstance(result.to_table(), QTable)
     lines = str(result).splitlines()
-    assert len(lines) < 12
+    assert len(lines) < 13  # five groups
     assert lines[0].split() == ["cadences", "in", "the", "fit", str(result.n_used)]
     assert repr(result).startswith("<PLDFit: order 2, ")
     assert "<th>outliers</th><td>" in result._repr_html_()
