@@ -11,11 +11,8 @@ from scope_models.pixelmodel._star import fit_star
 
 __all__ = ["can_predict", "with_predicted_fractions"]
 
-#: Branch: fewer pixels do not determine how the fractions change with position.
-_PIXELS_TO_PREDICT = 4
-#: Branch: no pixel has more than all of the light, but for the noise of a faint star: a model with
-#: twice as much has diverged, by orders of magnitude.
-_LARGEST_SHARE = 2.0
+#: Branch: as many pixels as a cadence has unknowns, brightness, place, width, background, show none.
+_STATES = 5
 
 
 def can_predict(pixels, saturation, use):
@@ -25,9 +22,10 @@ def can_predict(pixels, saturation, use):
     FLUX_ERR, nor for a moving aperture over full columns.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
-    full = pixels.full_columns(use, saturation)
-    n_pixels = full.sum() + (pixels.aperture & ~full).sum()
-    if n_pixels < _PIXELS_TO_PREDICT or (pixels.weights is not None and full.any()):
+    full, near = pixels.full_columns(use, saturation), np.zeros_like(pixels.aperture)
+    near[pixels.near] = True
+    n_pixels = full.sum() + (near & ~full).sum()
+    if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
         return False
     return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
@@ -73,7 +71,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
             )
     except np.linalg.LinAlgError:
         clean = None
-    if clean is None or not np.abs(clean.shares[learned[use]]).max() <= _LARGEST_SHARE:
+    if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
         message = (
             "the model of the pixels fails, or the star has too many places for so few cadences: "
             "measured fractions are taken"

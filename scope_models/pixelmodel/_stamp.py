@@ -197,10 +197,10 @@ def _most_light(light, least, away):
     """
     distance = np.hypot(*away.T)
     few = slice(None, None, max(len(light) // ENOUGH, 1))
-    rings = (distance[:, few] / _RING).astype(int)
-    inside = [light[few].T[rings == k] for k in range(rings.max() + 1)]
-    profile = [max(quantile(values, 0.98), least.min()) for values in inside if values.size]
-    places = _RING * (np.unique(rings) + 0.5)
+    rings = np.floor(distance[:, few] / _RING)
+    numbers, values = np.unique(rings), light[few].T
+    profile = [max(quantile(values[rings == k], 0.98), least.min()) for k in numbers]
+    places = _RING * (numbers + 0.5)
     profile = np.log(np.maximum.accumulate(profile[::-1])[::-1])
     expected = np.exp(np.interp(distance.min(axis=1), places, profile))
     return np.maximum(np.maximum(quantile(light.T, 0.98), expected), least)

@@ -358,9 +358,10 @@ def test_coordinates_of_a_real_file(shared_data):
 
 def test_neighbors_of_full_pixels_stay_with_a_warning():
     sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=100)
-    full = np.zeros((13, 9), dtype=bool)
-    full[:, 4:6] = True
-    corrector = PLDCorrector(sky.to_tpf(), full, neighbors=[[2.0, 2.0]])
+    tpf = sky.to_tpf()
+    moving = np.zeros(tpf.shape)
+    moving[:, :, 4:6] = 1.0
+    corrector = PLDCorrector(tpf, moving, neighbors=[[2.0, 2.0]])
     with (
         warnings.catch_warnings(),
         pytest.warns(DetrendingWarning, match="the light of other stars stays in the flux"),

@@ -475,6 +475,13 @@ def test_narrow_stamps_are_corrected_without_a_warning(shape, mag):
     assert cdpp(lc) < 0.4 * cdpp(corrector.original_lc)  # 0.25 and 0.07
 
 
+def test_two_full_columns_have_the_images_of_those_beside_them():
+    sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=400)
+    full = np.zeros((13, 9), dtype=bool)
+    full[:, 4:6] = True
+    assert score(PLDCorrector(sky.to_tpf(), full).correct(), sky).full < 2  # 1.2; measured: 200
+
+
 def test_a_full_star_keeps_a_bump():
     """Its predicted fractions do not follow it."""
     regime = SkyRegime("full", magnitude=11.0, scale=2.0, star="bump", period=3.0, amplitude=0.1)
@@ -822,20 +829,29 @@ def test_all_errors_are_invalid(star, bad):
     assert cdpp(lc) < star.floor(corrector)  # 0.91 of it
 
 
-def test_one_pixel(star):
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_few_pixels_have_the_images_of_the_whole_stamp(star, number):
+    """Their own fractions hardly show where the star is."""
+    image = np.median(star.tpf.flux.value, axis=0)
+    mask = image >= np.sort(image, axis=None)[-number]
+    corrector = PLDCorrector(star.tpf, mask)
+    assert cdpp(corrector.correct()) < 0.02 * cdpp(corrector.original_lc)
+
+
+def test_one_pixel_has_no_measured_fractions(star):
     mask = np.zeros((9, 9), dtype=bool)
     mask[4, 4] = True
     corrector = PLDCorrector(star.tpf, mask)
     with pytest.warns(DetrendingWarning, match="do not vary"):
-        corrector.correct()
+        corrector.correct(fractions="measured")
 
 
-def test_two_pixels(star):
+def test_two_measured_pixels(star):
     mask = np.zeros((9, 9), dtype=bool)
     mask[4, 4:6] = True
     corrector = PLDCorrector(star.tpf, mask)
     with pytest.warns(DetrendingWarning, match="the noise has .* times the variance of FLUX_ERR"):
-        lc = corrector.correct(order=3)
+        lc = corrector.correct(order=3, fractions="measured")
     assert cdpp(lc) < cdpp(corrector.original_lc)
 
 
