@@ -11,7 +11,8 @@ from scope_models.pixelmodel._star import fit_star
 
 __all__ = ["can_predict", "with_predicted_fractions"]
 
-#: Branch: as many pixels as a cadence has unknowns, brightness, place, width, background, show none.
+#: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
+#: background.
 _STATES = 5
 
 
