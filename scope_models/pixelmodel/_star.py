@@ -42,6 +42,8 @@ _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 #: positions and width are less than these parts of their errors, of the width that of its course
 #: or of a mean of 6.5 h.
 _MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: largest changes in a step of brightness, both positions (px) and width.
+_LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: largest change of the unit of the widths in a step, as a factor.
 _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
@@ -323,6 +325,7 @@ def _fit_states(stamp, states, shape, images, functions):
         hessian[k, k] += weight
         right[k] += weight * distance
     change, factor = _solved(hessian, right)
+    change[:4] = np.clip(change[:4], -_LARGEST, _LARGEST)
     error = np.sqrt(np.einsum("jin,jin->in", factor, factor))
     by_focus = np.einsum("jin,jn->in", factor, factor[:, 3]) / error[3] ** 2
     brightness, position = states.brightness + change[0], states.position + change[1:3].T
@@ -335,6 +338,7 @@ def _fit_states(stamp, states, shape, images, functions):
     focus, smooth = stamp.smoothed(found, error[3], "focus")
     error[3] = np.maximum(smooth, error[3] * np.sqrt(stamp.smoothed.step / TRANSIT))
     shift = np.where(use, by_focus * (focus - found), 0.0)  # elsewhere the course is a guess
+    shift[:4] = np.clip(shift[:4], -_LARGEST, _LARGEST)
     brightness += shift[0]
     position += shift[1:3].T
     plane += shift[4:].T
