@@ -23,12 +23,19 @@ def can_predict(pixels, saturation, use):
     FLUX_ERR, nor for a moving aperture over full columns.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
-    full, near = pixels.full_columns(use, saturation), np.zeros_like(pixels.aperture)
-    near[pixels.near] = True
-    n_pixels = full.sum() + (near & ~full).sum()
+    full = pixels.full_columns(use, saturation)
+    seen = _seen(pixels)
+    n_pixels = (seen & full).any(axis=0).sum() + (seen & ~full).sum()
     if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
         return False
     return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+
+
+def _seen(pixels):
+    """Return the pixels with data that may show the star."""
+    seen = np.zeros_like(pixels.aperture)
+    seen[pixels.near] = True
+    return seen & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
 
 
 def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=None):
@@ -42,12 +49,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
     full = pixels.full_columns(learned, saturation)
-    own = np.zeros_like(pixels.aperture)
-    own[pixels.near] = True
-    own &= ~full
-    if pixels.own is not None:  # other stars do not vary with this one
-        own &= pixels.own
-    known = np.isfinite(pixels.flux[use]).all(axis=0) & (pixels.aperture | own)
+    own = ~full if pixels.own is None else pixels.own & ~full  # others do not vary with this one
+    known = _seen(pixels) & (pixels.aperture | own)
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)
@@ -70,7 +73,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, saturation=Non
                 banded=pixels.banded[use],
                 full=full[columns],
             )
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ValueError):  # singular, or no number
         clean = None
     if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
         message = (

@@ -713,7 +713,8 @@ class PLDFit:
                 value, error = vars(self)[f"_{name}"]
                 rows[f"transit {name}"] = f"{value:.{digits}f} +- {error:.{digits}f}"
         parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
-        return rows | {name: f"{used:.1f} of {n} parameters" for name, n, used in parts}
+        used = {name: f"{used:.1f} of {n} parameters" for name, n, used in parts if round(used, 1)}
+        return rows | used
 
     def __repr__(self):
         order = self.model.options.order

@@ -10,7 +10,7 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, _model
+from scope_models.correctors import PLDCorrector, _fractions, _model
 from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
@@ -212,6 +212,31 @@ def test_a_short_file_keeps_the_variability_of_a_star_with_a_neighbor():
     lc = PLDCorrector(sky.to_tpf(quality_bitmask="none")).correct()
     flux = lc.flux.value / sky.true_flux
     assert mad_std(flux, ignore_nan=True) < 2e-4 * np.nanmedian(flux)  # 84 ppm, 13 % if measured
+
+
+def test_a_model_without_numbers_is_replaced_with_a_warning(star, monkeypatch):
+    def failing(*_, **__):
+        raise ValueError("array must not contain infs or NaNs")
+
+    monkeypatch.setattr(_fractions, "fit_star", failing)
+    corrector = PLDCorrector(star.tpf)
+    with pytest.warns(DetrendingWarning, match="the model of the pixels fails"):
+        lc = corrector.correct()
+    assert np.isfinite(lc.flux.value).all()
+    assert corrector.model.clean is None
+
+
+@pytest.mark.parametrize(("known", "predicted"), [(5, False), (6, True)])
+def test_pixels_without_data_show_nothing(star, known, predicted):
+    """A cadence has five unknowns."""
+    series = read_pixels(star.tpf)
+    order = np.argsort(-np.median(series.flux, axis=0), axis=None)
+    flux = series.flux.copy()
+    flux[:, *np.unravel_index(order[known:], flux.shape[1:])] = np.nan
+    mask = np.zeros(flux.shape[1:], dtype=bool)
+    mask.flat[order[:4]] = True
+    pixels = aperture_pixels(series.replace(flux=flux), mask)
+    assert _fractions.can_predict(pixels, None, pixels.usable) == predicted
 
 
 def test_an_aperture_is_not_chosen_by_few_positions():

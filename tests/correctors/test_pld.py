@@ -119,7 +119,7 @@ def test_result_is_frozen_and_short(corrected):
     assert isinstance(result, PLDFit)
     assert isinstance(result.to_table(), QTable)
     lines = str(result).splitlines()
-    assert len(lines) < 13  # five groups
+    assert len(lines) < 12
     assert lines[0].split() == ["cadences", "in", "the", "fit", str(result.n_used)]
     assert repr(result).startswith("<PLDFit: order 2, ")
     assert "<th>outliers</th><td>" in result._repr_html_()
