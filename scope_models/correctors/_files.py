@@ -144,7 +144,7 @@ def _states(corrector, series):
     n = len(series)
     states, model = np.full((3, n), np.nan), corrector.model
     if model and model.clean:
-        states[:, model.pixels.usable] = *model.clean.position.T, model.clean.focus
+        states[:, model.source.pixels.usable] = *model.clean.position.T, model.clean.focus
     background = np.full(n, np.nan)
     if series.flux_bkg is not None:
         background = np.nansum(series.flux_bkg[:, corrector.aperture_mask], axis=1)

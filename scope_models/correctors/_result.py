@@ -25,6 +25,7 @@ from scope_models.correctors._solution import Solution
 from scope_models.correctors._stars import SHARE_ERROR
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smoothing import TRANSIT
+from scope_models.pixelmodel._star import MISFIT
 
 __all__ = ["CONTAMINATED", "PLDFit"]
 
@@ -46,17 +47,9 @@ _REMOVALS, _NOTHING = 3, 0.2
 _LARGEST = 0.5
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
-    "noise_scale",
-    "jitter",
-    "trend_sigma",
-    "trend_period",
-    "frequencies",
-    "log_likelihood",
-    "n_used",
-    "n_outliers",
-    "window",
-    "breaks",
-)
+    "noise_scale", "jitter", "trend_sigma", "trend_period", "frequencies", "log_likelihood",
+    "n_used", "n_outliers", "window", "breaks",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -273,12 +266,13 @@ class PLDFit:
         if clean is None:
             raise ValueError("the pixel fractions are measured: there are no states to draw")
         states, leaks = clean.leaks()
+        modeled = self.model.source.pixels.usable  # the light may be nothing in some
         columns, rows = clean.grid.T
         images = np.full((len(leaks), *pixels.aperture.shape), np.nan)
         images[:, rows, columns] = list(leaks.values())
         return plot_states(
             pixels.time,
-            {name: self._whole(values) for name, values in states.items()},
+            {name: self._whole(values, which=modeled) for name, values in states.items()},
             dict(zip(leaks, images, strict=True)),
             pixels.aperture,
             time_label=f"Time ({self.model.source.series.time_format.upper()})",
@@ -286,11 +280,11 @@ class PLDFit:
 
     # The light curve's parts
 
-    def _whole(self, values, fill=np.nan):
-        """Return an array over all cadences from one over the usable ones."""
-        usable = self.model.pixels.usable
-        whole = np.full(len(usable), fill)
-        whole[usable] = values
+    def _whole(self, values, fill=np.nan, which=None):
+        """Return an array over all cadences from one over the usable or other ones."""
+        which = self.model.pixels.usable if which is None else which
+        whole = np.full(len(which), fill)
+        whole[which] = values
         return whole
 
     @cached_property
@@ -328,7 +322,7 @@ class PLDFit:
         -------
         flux, flux_err : ndarray
             In e-/s, ``(n_cadences,)``; the error holds the white noise, the uncertainty of the
-            model, and what other stars in the aperture add: see :doc:`/explanation/pld`.
+            model, and what other stars and light outside add: see :doc:`/explanation/pld`.
         """
         solution = self.solution
         removed, variance = solution.systematics, solution.systematics_variance
@@ -339,7 +333,15 @@ class PLDFit:
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
             error = flux * np.sqrt(solution.white_variance + variance)
             error = np.hypot(error, self.contrast_error * (flux - np.median(flux)))
+            error = np.hypot(error, self._image_error * flux)
         return self._whole(flux), self._whole(error)
+
+    @cached_property
+    def _image_error(self):
+        """Relative error of the flux where the part of the light outside changes."""
+        usable = self.model.pixels.usable
+        held = self.model.design.extra.get("aperture", np.zeros((len(usable), 1)))[usable, 0]
+        return MISFIT * (held - np.median(held))
 
     def remarks(self):
         """
@@ -449,8 +451,8 @@ class PLDFit:
         """
         Return the covariance of the corrected relative flux.
 
-        The white noise, which is independent in each cadence, and the uncertainty of the
-        systematics, which is shared by cadences with the star in one place.
+        The white noise, which is independent in each cadence, and the uncertainty of systematics
+        and images, which is shared by cadences with the star in one place.
 
         Parameters
         ----------
@@ -467,7 +469,8 @@ class PLDFit:
         if not usable[index].all():
             raise ValueError("`cadences` must have usable pixels")
         rows = (np.cumsum(usable) - 1)[index]
-        return self.solution.corrected_covariance(rows)
+        by_images = self._image_error[rows]
+        return self.solution.corrected_covariance(rows) + np.outer(by_images, by_images)
 
     # Questions to the data at the fitted hyper-parameters
 

@@ -27,7 +27,7 @@ from scipy.linalg import solveh_banded
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
-__all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
+__all__ = ["IMAGE_ERROR", "MISFIT", "StarModel", "fit_star"]
 
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
@@ -57,7 +57,7 @@ _FAST, _STRONG = 0.25, 0.02
 _RESPONSE_PRIOR = 0.05
 #: Prior: relative error of a pixel's light where no other cadence shows the star, that of responses
 #: of pixels (1 %, Kepler Instrument Handbook).
-_MISFIT = 0.01
+MISFIT = 0.01
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
@@ -362,7 +362,7 @@ def _without_hits(stamp, states, images, rest, noise):
         seen = np.pad(hot, ((1, 1), (0, 0)))
         return seen[:-2] | seen[2:]
 
-    error = noise + _MISFIT * (np.abs(images.whole) + IMAGE_ERROR)
+    error = noise + MISFIT * (np.abs(images.whole) + IMAGE_ERROR)
     size, use = rest / error, stamp.use[:, None]
     missing = np.sqrt(np.sum(np.where(size < -CLIP, size, 0.0) ** 2, axis=1, keepdims=True))
     hot = size > np.maximum(missing, CLIP)

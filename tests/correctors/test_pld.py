@@ -838,6 +838,14 @@ def test_few_pixels_have_the_images_of_the_whole_stamp(star, number):
     assert cdpp(corrector.correct()) < 0.02 * cdpp(corrector.original_lc)
 
 
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_errors_of_few_pixels_hold_what_images_miss(number):
+    sky = make_sky("k2-1x-focus", 600, n_cadences=600)
+    image = sky.star_light.mean(axis=0)
+    mask = image >= np.sort(image, axis=None)[-number]
+    assert 0.4 < score(PLDCorrector(sky.to_tpf(), mask).correct(), sky).pull < 1.5
+
+
 def test_one_pixel_has_no_measured_fractions(star):
     mask = np.zeros((9, 9), dtype=bool)
     mask[4, 4] = True

@@ -7,6 +7,7 @@ import pytest
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
+from scope_models.correctors._files import make_lightcurve_hdulist
 from scope_models.correctors._pixels import credible_flux
 from scope_models.exceptions import DetrendingWarning
 
@@ -45,6 +46,10 @@ def test_over_subtracted_background(excess, order):
     known = np.isfinite(flux)
     ratio = flux[known] / total[known]
     assert np.abs(np.log(ratio / np.median(ratio))).max() < np.log(31)
+    states = corrector.result.plot_states()  # of cadences without light, too
+    assert "Relative width" in states
+    width = make_lightcurve_hdulist(corrector)[1].data["WIDTH"]
+    assert np.isfinite(width).sum() >= known.sum()
 
 
 def test_one_cadence():
