@@ -35,7 +35,7 @@ COLUMNS = {
     | {"raw_pld": "PLD alone", "differential": "differential photometry"}
     | {"differential_pld": "PLD on differential pixels", "ratio": "the same over differential"}
     | {"ratio_error": "its error", "differential_pld_survival": "depth that it keeps"}
-    | {"differential_predicted": "PLD, predicted fractions", "floor": "light alone"},
+    | {"floor": "light alone"},
 }
 
 

@@ -4,9 +4,7 @@
 
 A telescope with seeing, extinction, thin clouds and scintillation follows a field for some nights.
 Apertures follow the stars; the sum of three comparison stars is the reference of differential
-photometry. PLD, with pixel fractions as they are measured, gets the target's pixels as they are,
-and divided by the reference; and the latter with the fractions that a model of the pixels predicts,
-whose width is smooth in time.
+photometry. PLD gets the target's pixels as they are, and divided by the reference.
 """
 
 import numpy as np
@@ -35,7 +33,6 @@ METHODS = {
     "raw_pld": "PLD alone",
     "differential": "Differential photometry",
     "differential_pld": "PLD on differential pixels",
-    "differential_predicted": "PLD, predicted fractions",
 }
 SURVIVALS = tuple(f"{name}_survival" for name in METHODS if name.startswith("differential"))
 UNITS = dict.fromkeys(("floor", *METHODS), "ppm")
@@ -88,8 +85,8 @@ def measure(study, task):
     """Return the noise of a target, without any filter in time.
 
     Standard deviation of means of 30 minutes in ppm: of the aperture alone ("raw"), of the aperture
-    over the comparison stars ("differential"), the same after PLD ("_pld", "_predicted"), and of
-    the noise that differential photometry cannot avoid ("floor"); "_survival", the part of the
+    over the comparison stars ("differential"), the same after PLD ("_pld"), and of the
+    noise that differential photometry cannot avoid ("floor"); "_survival", the part of the
     depth of transits of 1 % that is left, by which the noise is divided.
     """
     observation = observe(study, task)
@@ -112,11 +109,7 @@ def photometry(observation):
     reference /= np.median(reference)
     found = {"raw": sums[0], "differential": sums[0] / reference}
     cut = np.s_[:, *(slice(round(at) - HALF, round(at) + HALF + 1) for at in TARGET[::-1])]
-    for name, fractions, divisor in (
-        ("raw_pld", "measured", np.ones_like(reference)),
-        ("differential_pld", "measured", reference),
-        ("differential_predicted", "predicted", reference),
-    ):
+    for name, divisor in (("raw_pld", np.ones_like(reference)), ("differential_pld", reference)):
         cubes = observation.flux[cut], observation.flux_err[cut]
         flux, error = (cube / divisor[:, np.newaxis, np.newaxis] for cube in cubes)
         hdus = make_tpf_hdulist(
@@ -124,8 +117,7 @@ def photometry(observation):
             pos_corr1=observation.motion.x, pos_corr2=observation.motion.y,
         )  # fmt: skip
         with quiet():
-            corrector = PLDCorrector(TessTargetPixelFile(hdus, quality_bitmask="none"))
-            corrected = corrector.correct(fractions=fractions)
+            corrected = PLDCorrector(TessTargetPixelFile(hdus, quality_bitmask="none")).correct()
         found[name] = np.full(len(reference), np.nan)
         used = np.searchsorted(observation.time, corrected.time.value - 1e-6)
         found[name][used] = corrected.flux.value
