@@ -1,9 +1,8 @@
 """The effects of each mission whose numbers have a source."""
 
-from scope_models.effects.background import ScatteredLight
-from scope_models.effects.blurring import Focus
-from scope_models.effects.charge import RollingBands, Smear, Undershoot
-from scope_models.effects.cosmic_rays import CosmicRays
+from scope_models.effects.charge import CosmicRays, RollingBands, Smear, Undershoot
+from scope_models.effects.light import Focus
+from scope_models.effects.sky import ScatteredLight
 
 __all__ = ["mission_effects"]
 
