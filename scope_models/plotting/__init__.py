@@ -7,7 +7,6 @@ in lightness, series differ in lightness, marker and size. All functions draw in
 as ``ax``, or into a new figure.
 """
 
-from scope_models.plotting.fitting import plot_fit, plot_twin
 from scope_models.plotting.images import (
     animate_pixels,
     plot_detector,
@@ -17,7 +16,13 @@ from scope_models.plotting.images import (
     plot_scene,
     plot_sensitivity,
 )
-from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot_summary
+from scope_models.plotting.stars import (
+    plot_fit,
+    plot_fold,
+    plot_light_curve,
+    plot_summary,
+    plot_twin,
+)
 
 __all__ = [
     "animate_pixels", "plot_detector", "plot_fit", "plot_fold", "plot_light_curve", "plot_motion",
