@@ -16,9 +16,7 @@ __all__ = [
     "Smear", "Undershoot",
 ]  # fmt: skip
 
-# Points per pixel at which the charge of a track is put down.
-_POINTS = 16
-_READS = 10
+_POINTS = 16  # per pixel, at which the charge of a track is put down
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -27,22 +25,18 @@ class Smear(Effect):
 
     Without a shutter every pixel spends the time :math:`t_r / N` under each other pixel of its
     column, with the read-out time :math:`t_r` of a frame and N rows. It gathers the part
-
-    .. math:: f = \frac{t_r}{N\, t_{\mathrm{int}}}
-
-    of the charge of each of them: 8e-5 for Kepler.
+    :math:`f = t_r / (N\, t_{\mathrm{int}})` of the charge of each of them: 8e-5 for Kepler.
 
     Parameters
     ----------
     rows : int, optional
-        Rows N through which the charge of a pixel is shifted; Kepler's CCDs have 1070.
+        Rows N through which the charge of a pixel is shifted; Kepler: 1070 (KSCI-19033).
     residual : float, optional
         Part that the calibration leaves in the flux; its photon noise stays in any case.
 
     Notes
     -----
-    Only stars on the stamp smear, for others are not known. Nothing is random, and the truth is
-    what the scene holds.
+    Only stars on the stamp smear, for others are not known. Nothing is random.
 
     Examples
     --------
@@ -61,8 +55,7 @@ class Smear(Effect):
 
     def pedestal(self, drawn, conditions, part, electrons):
         part_of_column = conditions.read_time / (self.rows * conditions.int_time)
-        column = part_of_column * electrons.sum(axis=1, keepdims=True)
-        smear = np.broadcast_to(column, electrons.shape)
+        smear = part_of_column * electrons.sum(axis=1, keepdims=True)
         return smear, smear * (1 - self.residual)
 
 
@@ -115,17 +108,16 @@ class DarkCurrent(Effect):
 class CosmicRays(Effect):
     r"""Particles that cross the detector from all directions.
 
-    The number of hits is a Poisson number, their places and azimuths are uniform, and the angle
+    The number of hits is a Poisson number, places and azimuths are uniform, and the angle
     :math:`\theta` to the normal has the density :math:`2 \cos\theta` in :math:`\cos\theta`, as of
-    particles from everywhere through a plane. A particle crosses a layer of the depth h and leaves
-    charge in proportion to its path, :math:`h / \cos\theta`, along a track of the length
-    :math:`h \tan\theta` on the detector.
+    particles through a plane. In a layer of the depth h they leave charge in proportion to their
+    path, :math:`h / \cos\theta`, along a track of the length :math:`h \tan\theta`.
 
     Parameters
     ----------
     rate : float or Quantity, optional
-        Hits per square centimeter and second. The default, 5, is that of ETEM2, the simulator of
-        the Kepler project; simulators of PLATO use 10.
+        Hits per square centimeter and second. ETEM2, the simulator of the Kepler project, has 5,
+        those of PLATO 10.
     electrons : float or Quantity, optional
         Mean charge of a hit, electrons.
     pixel_size : float or Quantity, optional
@@ -143,10 +135,10 @@ class CosmicRays(Effect):
     0), X and Y (where the track begins, pixels), LENGTH (pixels), ANGLE (radians from growing
     columns), and ELECTRONS, the charge of the whole track.
 
-    With ``rejection`` a read that a ray has hit is nearly always the highest of its ten, and is
-    dropped; what stays is the bias of the other nine, whose lowest is still dropped
-    (`rejected_shift`). The reads are taken as normal, and a pixel as hit at most once in ten
-    reads. The smaller noise of trimmed sums is not a part of this effect.
+    With ``rejection`` a read that a ray has hit is nearly always the highest of its ten; what
+    stays is the bias of the other nine, whose lowest is dropped (`rejected_shift`). The reads are
+    taken as normal, and a pixel as hit at most once in ten. The smaller noise of trimmed sums is
+    not a part of this effect.
 
     Examples
     --------
@@ -228,17 +220,12 @@ def _deposits(hits, shape):
 
 
 def rejected_shift(charge):
-    r"""Return the mean shift by a charge in one of ten normal reads after the rejection.
+    r"""Return the mean shift by a charge in one of ten reads after the rejection.
 
-    Of ten reads the highest and the lowest are dropped. Nine have the mean 0 and the standard
-    deviation 1, one has the mean d. The mean of the other eight's sum is
-
-    .. math:: d - \langle \max \rangle - \langle \min \rangle,
-
+    Both are in standard deviations of a read. If nine have the mean 0 and one d, the sum without
+    the highest and the lowest has the mean :math:`d - \langle \max \rangle - \langle \min \rangle`,
     with the distributions :math:`\Phi^9(z)\, \Phi(z - d)` of the highest and
-    :math:`1 - [1 - \Phi(z)]^9 [1 - \Phi(z - d)]` of the lowest. It is 0.8 d for small d, and
-    1.485, the mean of the highest of nine, for large d. Charge and shift are in standard deviations
-    of a read.
+    :math:`1 - [1 - \Phi(z)]^9 [1 - \Phi(z - d)]` of the lowest.
     """
     return np.interp(plain_array(charge, "", "charge"), *_shift_table())
 
@@ -249,8 +236,8 @@ def _shift_table():
     z = np.linspace(-9, 30, 7801)
     other = ndtr(z - charge[:, np.newaxis])
     # Means of highest and lowest by the integrals of their distributions over the grid.
-    highest = z[-1] - np.trapezoid(ndtr(z) ** (_READS - 1) * other, z)
-    lowest = z[0] + np.trapezoid(ndtr(-z) ** (_READS - 1) * (1 - other), z)
+    highest = z[-1] - np.trapezoid(ndtr(z) ** 9 * other, z)
+    lowest = z[0] + np.trapezoid(ndtr(-z) ** 9 * (1 - other), z)
     return charge, charge - highest - lowest
 
 
@@ -263,10 +250,9 @@ class BrighterFatter(Effect):
 
     .. math:: \Delta_{ij} = \frac{k}{2 W} \left(q_i^2 - q_j^2\right) .
 
-    All charge is conserved. The variance of an image grows by :math:`k \sum q^2 / (W \sum q)` along
-    each axis: for a Gaussian star of the standard deviation :math:`\sigma` whose brightest pixel is
-    full, the width grows by about :math:`k / 4 \sigma^2`. In a flat exposure the variance of the
-    pixels grows more slowly than their mean.
+    The variance of an image grows by :math:`k \sum q^2 / (W \sum q)` along each axis: a Gaussian
+    star of the standard deviation :math:`\sigma` whose brightest pixel is full is wider by about
+    :math:`k / 4 \sigma^2`.
 
     Parameters
     ----------
@@ -279,7 +265,7 @@ class BrighterFatter(Effect):
     Notes
     -----
     It acts on the charge after photon noise, background included; ``observation.model()`` is
-    before it. No charge crosses the edge of the stamp. Nothing is random.
+    before it. All charge stays on the stamp. Nothing is random.
 
     Examples
     --------
@@ -325,8 +311,8 @@ class Undershoot(Effect):
 
     Notes
     -----
-    Nothing is random, and ``observation.model()`` is before it. The calibration inverts the
-    equation, as those of the missions do.
+    Nothing is random, and ``observation.model()`` is before it. The calibration inverts it, as
+    those of the missions do.
 
     Examples
     --------
@@ -362,27 +348,26 @@ class Undershoot(Effect):
 class ChargeTransferInefficiency(Effect):
     r"""Charge that stays behind when the rows, and then the pixels of a row, are transferred.
 
-    Each clock leaves the part :math:`\epsilon` of a packet in its pixel, where the next packet
-    finds it. Of charge that needs N transfers to the output, the part
+    Each transfer leaves the part :math:`\epsilon` of a packet in its pixel for the next packet. Of
+    charge that needs N transfers to the output, the part
 
     .. math:: P_k = \binom{N + k - 1}{k}\, (1 - \epsilon)^N\, \epsilon^k
 
-    arrives k pixels late, in a trail to larger rows and columns. The first bright pixel after dark
-    ones loses :math:`1 - (1 - \epsilon)^N`, its *first-pixel response*; all charge is conserved.
+    arrives k pixels late, in a trail to larger rows and columns.
 
     Parameters
     ----------
     parallel, serial : float, optional
-        Part :math:`\epsilon` that a transfer of rows, and of the pixels of a row, leaves behind;
-        below 0.1. The defaults are assumed.
+        Part :math:`\epsilon`, below 0.1, for rows and for the pixels of a row. The defaults are
+        assumed.
     rows, columns : int, optional
         Transfers of the stamp's first row and column; each next one needs one more. The default
         is the middle of a CCD of 1024 x 1100 pixels.
 
     Notes
     -----
-    Nothing is random, and ``observation.model()`` is before it. Beyond the edges, the charge is
-    taken to be that of the stamp's first row and column; trails that leave the stamp are lost.
+    Nothing is random, and ``observation.model()`` is before it. Beyond the edges the charge is
+    taken to be that of the first row and column; trails that leave the stamp are lost.
 
     References
     ----------
@@ -434,11 +419,10 @@ class RollingBands(Effect):
     Parameters
     ----------
     rate : float or Quantity, optional
-        Mean number of episodes per day; the default is assumed, as are all others but the
-        amplitude.
+        Mean number of episodes per day. All defaults but the amplitude are assumed.
     amplitude : float or Quantity, optional
-        Mean amplitude :math:`a_i`, e-/s per pixel; amplitudes are distributed exponentially. The
-        default is 20 ppm of the flux of a star of Kp 12, below which Kepler's bands stay.
+        Mean amplitude :math:`a_i`, e-/s per pixel, of an exponential distribution. The default is
+        20 ppm of the flux of a star of Kp 12, below which Kepler's bands stay.
     duration : float or Quantity, optional
         Standard deviation d of an episode in time, days.
     spacing : float or Quantity, optional
@@ -451,7 +435,7 @@ class RollingBands(Effect):
     The truth has the list ROLLINGBANDS with TIME, AMPLITUDE and PHASE (periods) of each episode,
     and the amplitude of each cadence (e-/s) in the column ROLLINGBANDS. Cadences in which it is
     larger than half the mean amplitude have the mission's quality bit, where it has one. Bands
-    are not charge: they have no photon noise and are not part of ``observation.model()``.
+    have no photon noise and are not part of ``observation.model()``.
 
     Examples
     --------

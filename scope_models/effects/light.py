@@ -29,6 +29,10 @@ __all__ = ["Focus", "Gaps", "Jitter", "PixelShares", "SensitivityDropouts", "Thr
 _SLOW_DEGREE = 3
 
 
+def _checked_times(name, values):
+    return checked_series(name, plain_time(values, None, name), "day")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Focus(Effect):
     r"""The width of the PSF as a sinusoid, a thermal response to events, or a series.
@@ -50,7 +54,7 @@ class Focus(Effect):
     thermal_time : float or Quantity, optional
         Time :math:`\tau` in which the change after an event decays, days.
     events : array_like or Quantity, optional
-        Times :math:`t_i` of the events, as momentum dumps or changes of attitude, days.
+        Times :math:`t_i` of the events, as momentum dumps, days.
     series : array_like, optional
         Relative width s of each cadence; the default is 1.
 
@@ -74,13 +78,8 @@ class Focus(Effect):
     phase: float = number(0.0, any_sign=True)
     thermal: float = number(0.0, any_sign=True)
     thermal_time: float = number(1.0, "day", positive=True)
-    events: np.ndarray = ()
+    events: np.ndarray = field(default=(), metadata={"check": _checked_times})
     series: np.ndarray | None = field(default=None, metadata=per_cadence())
-
-    def __post_init__(self):
-        super().__post_init__()
-        events = checked_series("events", plain_time(self.events, None, "events"), "day")
-        object.__setattr__(self, "events", events)
 
     def draw(self, conditions, generator):
         time = conditions.time
@@ -107,10 +106,8 @@ class Jitter(Effect):
     .. math:: \sigma_m^2 = 2 \sigma^2 r \left[1 - r \left(1 - e^{-1 / r}\right)\right],
               \qquad r = \tau / T,
 
-    and the rest, :math:`\sigma^2 - \sigma_m^2`, widens the image. The means are drawn with their
-    correlations from cadence to cadence. The image is averaged over a normal distribution of
-    positions: Gaussian PSFs become wider by its variance, which is exact, others are rendered at
-    Gauss-Hermite nodes.
+    and is correlated from cadence to cadence. The rest, :math:`\sigma^2 - \sigma_m^2`, widens the
+    image: exactly for Gaussian PSFs; others are rendered at Gauss-Hermite nodes.
 
     Parameters
     ----------
@@ -119,14 +116,14 @@ class Jitter(Effect):
     correlation_time : float or Quantity, optional
         Correlation time :math:`\tau`, s. 0 is white noise at the frame rate.
     nodes : int, optional
-        Nodes per axis for PSFs that are not Gaussian. 3 give all moments of the image up to the
-        fifth, and render each star at ``nodes**2`` places per cadence.
+        Nodes per axis for PSFs that are not Gaussian, which are rendered at ``nodes**2`` places
+        per cadence. 3 give all moments of the image up to the fifth.
 
     Notes
     -----
-    The truth has the mean offset of each cadence in the columns JITTER_X and JITTER_Y, and the
-    standard deviation within the cadence in JITTER_BLUR, all in pixels. The positions X1, Y1 of
-    the stars contain the offsets.
+    The truth has the mean offset of each cadence in the columns JITTER_X and JITTER_Y, which the
+    positions X1, Y1 of the stars contain, and the standard deviation within it in JITTER_BLUR;
+    pixels.
 
     Examples
     --------
@@ -170,9 +167,8 @@ class PixelShares(Effect):
     .. math:: S_p(x, y, t) = P_p(x, y) + \sum_{ijk} c_{p,ijk}\, L_i(u)\, L_j(v)\, L_k(w)
 
     with the PSF's (and sensitivity's) share P of unit flux, Legendre polynomials L, and the
-    star's position and the time scaled to -1..1 as u, v and w. `fit_tpf(..., response="pixels")
-    <scope_models.fit_tpf>` measures them. Outside the ranges the last term is that of the
-    nearest place or time in them.
+    star's position and the time scaled to -1..1 as u, v and w; outside the ranges the nearest
+    place or time counts. `fit_tpf(..., response="pixels") <scope_models.fit_tpf>` measures them.
 
     Parameters
     ----------
@@ -294,7 +290,7 @@ class Throughput(Effect):
     .. math:: s(t) = s_0(t) \left[1 + a \sin\left(2 \pi \left(\frac{t}{P} + \phi\right)\right)
               + d\,(t - t_m)\right]
 
-    with the middle :math:`t_m` of the series. All light has the factor, background included.
+    with the middle :math:`t_m` of the series. The background has the factor, too.
 
     Parameters
     ----------
@@ -357,7 +353,7 @@ class SensitivityDropouts(Effect):
     rate : float or Quantity, optional
         Mean number of dropouts per pixel and day; the default is assumed.
     depth : float, optional
-        Mean depth; depths are distributed exponentially, and at most 1. The default is assumed.
+        Mean depth; depths are distributed exponentially, up to 1. The default is assumed.
     recovery : float, optional
         Part k of the depth that recovers.
     recovery_time : float or Quantity, optional
@@ -414,8 +410,8 @@ class SensitivityDropouts(Effect):
 class Gaps(Effect):
     """Intervals in which nothing is recorded.
 
-    Flux and errors of their cadences are NaN, raw counts are -1, and the mission's quality bit
-    for cadences without data is set; where there is none, as with TESS, that for exclusion.
+    Flux and errors are NaN, raw counts -1, and the mission's quality bit for cadences without
+    data is set; where there is none, as with TESS, that for exclusion.
 
     Parameters
     ----------
@@ -424,8 +420,8 @@ class Gaps(Effect):
 
     Notes
     -----
-    The truth has 1 in the column GAPS for each cadence without data, else 0. Positions and light
-    are known in a gap, too.
+    The truth has 1 in the column GAPS for each cadence without data, else 0, and positions and
+    light in all.
 
     Examples
     --------

@@ -10,20 +10,17 @@ __all__ = ["mission_effects"]
 def mission_effects(detector):
     """Return the effects that a mission's detector has.
 
-    A detector of Kepler or K2 has cosmic rays (5 per square centimeter and second, pixels of 27
-    micrometers: ETEM2, the simulator of the Kepler project), smear (1070 rows, KSCI-19033),
-    undershoot (0.0039, decay over 5 pixels) and rolling bands (20 ppm of a star of Kp 12). K2 has
-    a focus that changes by 1 % over a campaign of 80 days, as the fitted widths of real stars of
-    campaign 5. A detector of TESS has cosmic rays (pixels of 15 micrometers), of which the
-    highest and the lowest of ten reads are dropped where the detector's cadence does so, and
-    scattered light at both ends of an orbit. What is assumed is in the description of each
-    effect. Effects without a number of the mission, as dropouts of the sensitivity, are not
-    among them. The width of a PRF table cannot change: leave the focus out with one.
+    Those of Kepler and K2 are `CosmicRays`, `Smear`, `Undershoot` and `RollingBands`, whose
+    defaults are Kepler's. K2 has a `Focus`, too, that changes by 1 % over a campaign of 80 days, as
+    the fitted widths of real stars of campaign 5; leave it out with a PRF table, whose width cannot
+    change. TESS has `CosmicRays` in pixels of 15 micrometers, with the rejection of reads where the
+    detector's cadence has it, and `ScatteredLight`. Effects without a number of the mission, as
+    dropouts of the sensitivity, are not among them.
 
     Parameters
     ----------
     detector : Detector
-        The detector; its mission and its cadence choose the effects.
+        The detector.
 
     Returns
     -------

@@ -49,10 +49,9 @@ def horizon_altitude(days, place, location):
 
 
 def airmass(time, coord, location):
-    """Return the airmass of a star.
+    """Return the airmass of a star, by the formula of Kasten & Young (1989).
 
-    By the formula of Kasten & Young (1989). The barycentric times are taken as those of the
-    observatory, from which they differ by up to 8 minutes.
+    The barycentric times are taken as those of the observatory; they differ by up to 8 minutes.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def airmass(time, coord, location):
 
 
 def moon_geometry(time, coord, location):
-    """Return where the Moon is, seen from the star and from the observatory.
+    """Return the place of the Moon in the sky of an observatory.
 
     Parameters
     ----------
@@ -113,8 +112,7 @@ def moon_geometry(time, coord, location):
     -------
     dict of str to ndarray
         Fields of `NightSky`: ``moon_altitude``, ``moon_separation`` from the star and
-        ``moon_phase``, the angle between Sun and Earth at the Moon; deg. Altitude and separation
-        are those at the observatory, without refraction.
+        ``moon_phase``, the angle between Sun and Earth at the Moon; deg, without refraction.
 
     Raises
     ------
@@ -172,9 +170,8 @@ class Extinction(Effect):
 
     Notes
     -----
-    The truth has the airmass and the factor on the light of the stars in the columns AIRMASS and
-    EXTINCTION. The background is that on the ground, and stays. Stars of all colors have the same
-    coefficient.
+    The truth has X and f in the columns AIRMASS and EXTINCTION. The background is that on the
+    ground, and stays. Stars of all colors have the same coefficient.
 
     References
     ----------
@@ -214,10 +211,9 @@ class Scintillation(Effect):
 
     .. math:: \sigma^2 = 10^{-5} C_Y^2 D^{-4/3} t^{-1} X^3 e^{-2 h / H}
 
-    with the aperture D (m), the exposure t (s), the airmass X and the altitude h of the telescope
-    [1]_. The formula holds for exposures that are long against the time in which the turbulence
-    crosses the aperture; the noise is then white. Each star has its own: stars that are closer
-    than some arcseconds share some of it, which is neglected.
+    with the exposure t (s) [1]_, for exposures that are long against the time in which the
+    turbulence crosses the aperture. The noise is white, and each star has its own; that stars
+    closer than some arcseconds share some of it is neglected.
 
     Parameters
     ----------
@@ -233,8 +229,8 @@ class Scintillation(Effect):
 
     Notes
     -----
-    The truth has the factor of each cadence and star, log-normally distributed with a mean of 1,
-    in the column SCINTILLATION.
+    The truth has the log-normal factor of each cadence and star, with a mean of 1, in the column
+    SCINTILLATION.
 
     References
     ----------
@@ -294,8 +290,8 @@ class Seeing(Effect):
 
     .. math:: w(t) = X(t)^{3/5} e^{s\,g(t)}
 
-    with the airmass X and a Gauss-Markov process g of unit variance. The exponent of X is that of
-    Kolmogorov turbulence. The detector's PSF is the one of w = 1.
+    with the airmass X, as for Kolmogorov turbulence, and a Gauss-Markov process g of unit
+    variance. The detector's PSF is the one of w = 1.
 
     Parameters
     ----------
@@ -353,12 +349,12 @@ class SkyEffect(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Background(SkyEffect):
-    r"""Diffuse light besides the detector's background: level, drift and gradient.
+    r"""Diffuse light besides the detector's background.
 
     .. math:: B(x, y, t) = [l + d (t - t_m)] [1 + g_x (x - x_m) + g_y (y - y_m)]
 
-    with the middles :math:`t_m, x_m, y_m` of series and stamp. Level and drift are photons that
-    are detected, before the response of the pixels.
+    with the middles :math:`t_m, x_m, y_m` of series and stamp, in photons that are detected,
+    before the response of the pixels.
 
     Parameters
     ----------
@@ -369,11 +365,9 @@ class Background(SkyEffect):
     gradient : tuple of float, optional
         Relative change :math:`g_x, g_y` of the level per pixel.
     residual : float, optional
-        Part of the light that the subtraction of the background leaves in the flux; 0 subtracts
-        all of it, 1 none.
+        Part of the light that the subtraction of the background leaves in the flux.
     left : array_like or Quantity, optional
-        What the subtraction leaves besides, by cadence, e-/s per pixel; negative where it
-        subtracts too much.
+        What it leaves besides, by cadence, e-/s per pixel; negative where it subtracts too much.
 
     Notes
     -----
@@ -413,6 +407,10 @@ class Background(SkyEffect):
         return added, subtracted
 
 
+def _checked_time(name, value):
+    return checked_number(name, float(plain_time(value, None, name)), any_sign=True)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredLight(SkyEffect):
     r"""Light of Earth and Moon that rises toward the ends of TESS's orbits.
@@ -424,8 +422,7 @@ class ScatteredLight(SkyEffect):
     Parameters
     ----------
     peak : float or Quantity, optional
-        Light p at perigee, e-/s per pixel. The default is assumed: ten times the dark sky of
-        `Detector.tess <scope_models.Detector.tess>`.
+        Light p at perigee, e-/s per pixel. The default is assumed: ten times TESS's dark sky.
     time_scale : float or Quantity, optional
         Time :math:`\tau` in which it falls by e, days; the default is assumed.
     orbit : float or Quantity, optional
@@ -437,8 +434,8 @@ class ScatteredLight(SkyEffect):
     residual : float, optional
         Part of the light that the subtraction of the background leaves in the flux.
     flag_above : float or Quantity, optional
-        Light from which cadences have the mission's quality bit, where it has one, e-/s per
-        pixel; None sets none. TESS sets its bit 4096 where light of Earth or Moon is strong.
+        Light above which cadences have the mission's quality bit, where it has one (TESS: 4096),
+        e-/s per pixel; None sets none.
 
     Notes
     -----
@@ -459,16 +456,10 @@ class ScatteredLight(SkyEffect):
     peak: float = number(1340.0, _RATE)
     time_scale: float = number(1.0, "day", positive=True)
     orbit: float = number(13.7, "day", positive=True)
-    perigee: float | None = None
+    perigee: float | None = field(default=None, metadata={"check": _checked_time})
     gradient: tuple[float, float] = number((0.0, 0.0))
     residual: float = number(0.0, any_sign=True)
     flag_above: float | None = number(None, _RATE)
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.perigee is not None:
-            days = float(plain_time(self.perigee, None, "perigee"))
-            object.__setattr__(self, "perigee", checked_number("perigee", days, any_sign=True))
 
     def draw(self, conditions, generator):
         time = conditions.time
@@ -488,8 +479,8 @@ class ScatteredLight(SkyEffect):
 class Argabrightening(SkyEffect):
     """Flashes of diffuse light in single cadences, as of debris from the spacecraft.
 
-    Each cadence has a flash with the same probability; flashes have exponentially distributed
-    brightness. Cadences with a flash have the mission's quality bit, where it has one.
+    Their brightness is distributed exponentially. Cadences with a flash have the mission's
+    quality bit, where it has one.
 
     Parameters
     ----------
@@ -547,8 +538,7 @@ class NightSky(SkyEffect):
     with the angle :math:`\rho` from the Moon, its phase angle :math:`\alpha`, the airmass X of the
     star and :math:`X_m = (1 - 0.96 \sin^2 z_m)^{-1/2}` of the Moon at the zenith distance
     :math:`z_m`; the dark sky has :math:`34.08\, e^{20.7233 - 0.92104 V}` for V mag per square
-    arcsecond. The formula is for the V band; in others moonlight is taken to have the same ratio
-    to the dark sky.
+    arcsecond. Other bands than V are taken to have the same ratio of moonlight to dark sky.
 
     Parameters
     ----------
@@ -569,8 +559,8 @@ class NightSky(SkyEffect):
 
     Notes
     -----
-    The truth has what the sky adds to the detector's background (e-/s per pixel) in the column
-    NIGHTSKY, and its relative shape in the map NIGHTSKY_SHAPE. The model is good to 8 to 23 % [1]_.
+    The truth has what is added to the detector's background (e-/s per pixel) in the column
+    NIGHTSKY, and its relative shape in the map NIGHTSKY_SHAPE. It is good to 8 to 23 % [1]_.
 
     References
     ----------

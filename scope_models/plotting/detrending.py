@@ -67,8 +67,7 @@ def plot_detrending(
     Parameters
     ----------
     time, flux, corrected : array_like
-        Times in days and fluxes before and after in e-/s, ``(n_cadences,)``. Each panel is
-        scaled to all but the outermost percent.
+        Times in days and fluxes before and after in e-/s, ``(n_cadences,)``.
     systematics, trend : array_like, optional
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
@@ -88,11 +87,14 @@ def plot_detrending(
     ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
     """
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
-    axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", time, flux))
-    for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
+    for ax, values, color, label in (
+        (axes[0], flux, GRAY, _label("measured", time, flux)),
+        (axes[1], systematics, DARK, "systematics"),
+        (axes[1], trend, LIGHT, "trend"),
+        (axes[2], corrected, DARK, _label("corrected", time, corrected)),
+    ):
         if values is not None:
-            axes[1].plot(time, values, ".", ms=2, color=color, label=name)
-    axes[2].plot(time, corrected, ".", ms=2, color=DARK, label=_label("corrected", time, corrected))
+            ax.plot(time, values, ".", ms=2, color=color, label=label)
     for mask, marker, name in ((outliers, "x", "outliers"), (masked, "+", "not in the fit")):
         if mask is not None and np.any(mask):
             axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=LIGHT, label=name)
@@ -161,8 +163,7 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     leaks : mapping of str to array_like
         By the names of states, part of the star's light that a pixel gains if this state grows by
         its standard deviation, ``(ny, nx)``.
-    aperture : array_like of bool, optional
-        Pixels that are summed, ``(ny, nx)``.
+    {mask}
     {time_label}
 
     Returns

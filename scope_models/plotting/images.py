@@ -101,12 +101,11 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
     Parameters
     ----------
     sensitivity, psf, image : array_like
-        Maps ``(ny * oversample, nx * oversample)`` of relative response and of flux density in e-/s
-        per square pixel, and the pixels ``(ny, nx)`` in e-/s.
+        Relative response and flux density in e-/s per square pixel, ``(ny * oversample,
+        nx * oversample)``, and the pixels ``(ny, nx)`` in e-/s.
     oversample : int, optional
         Samples per pixel of the first two along each axis.
-    aperture : array_like of bool, optional
-        Mask ``(ny, nx)`` whose outline is drawn on the image.
+    {mask}
     {draw_three}
 
     Examples
@@ -135,8 +134,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     time, x, y : array_like
         Times in days and positions in pixels ``(n_cadences,)``.
     shape : tuple of int, optional
-        Shape ``(ny, nx)`` of the stamp, to draw all of it. By default the axes
-        are limited to the track, with the edges of the pixels that it crosses.
+        Shape ``(ny, nx)`` of the stamp, to draw all of it, instead of the pixels at the track.
     time_label, title : str, optional
         Label of the color bar and title of the Axes.
     {draw}
@@ -173,8 +171,7 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
         Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first.
     magnitudes : array_like
         Magnitudes ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
-    time_label : str, optional
-        Label of the color bar, which a star at rest does not need.
+    {time_label}
     {draw}
 
     Examples
@@ -240,8 +237,7 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     {mask}
     interval : float, optional
         Milliseconds per frame.
-    time_label : str, optional
-        What the title calls the times.
+    {time_label}
     {ax}
 
     Returns

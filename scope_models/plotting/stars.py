@@ -102,7 +102,7 @@ def plot_fold(
         raise ValueError(f"`window` of {window} h around mid-transit holds no cadence")
     ax = _style.given_or_new(ax, 6, 3.6)
     ax.plot(phase[near], flux[near], ".", ms=3, color="0.75", label="cadences")
-    limits = [(-window, window)]
+    limits = -window, window
     means, edges, _ = binned_statistic(phase[near], flux[near], bins=n_bins, range=limits)
     ax.plot((edges[:-1] + edges[1:]) / 2, means, "o", ms=4.5, color=DARK, label="binned")
     if model is not None:
@@ -124,7 +124,7 @@ def plot_summary(
     time : array_like
         Times ``(n_cadences,)`` in days.
     image : array_like
-        Pixel image ``(ny, nx)`` in e-/s, such as the first cadence.
+        First cadence ``(ny, nx)`` in e-/s.
     flux : array_like
         Raw light curve ``(n_cadences,)``.
     x, y : array_like
@@ -135,18 +135,17 @@ def plot_summary(
     cdpp, corrected_cdpp : float, optional
         Noise of the two light curves in ppm, in lightkurve's convention.
     model : array_like, optional
-        Expected relative flux ``(n_cadences,)``, drawn over the corrected light curve.
+        Expected relative flux ``(n_cadences,)``.
     noise : float or array_like, optional
-        Expected relative standard deviation of a cadence, a number or
-        ``(n_cadences,)``: a band about the corrected light curve.
+        Expected relative standard deviation, a number or ``(n_cadences,)``, drawn as a band.
     time_label, title : str, optional
         Label of the time axes and title of the figure.
 
     Returns
     -------
     dict
-        The Axes ``"image"``, ``"motion"``, ``"light curve"`` and, with
-        `corrected`, ``"corrected"``; ``axes["image"].figure`` is the figure.
+        The Axes ``"image"``, ``"motion"``, ``"light curve"`` and, with `corrected`,
+        ``"corrected"``.
 
     Examples
     --------
@@ -163,8 +162,10 @@ def plot_summary(
     figure, axes = plt.subplot_mosaic(mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), **options)
     plot_pixels(image, aperture, title="First cadence", ax=axes["image"])
     plot_motion(time, x, y, time_label=time_label, ax=axes["motion"])
-    given = {"cdpp": cdpp, "corrected_cdpp": corrected_cdpp, "time_label": time_label}
-    plot_light_curve(time, flux, corrected, ax=axes["light curve"], **given)
+    plot_light_curve(
+        time, flux, corrected, cdpp=cdpp, corrected_cdpp=corrected_cdpp, time_label=time_label,
+        ax=axes["light curve"],
+    )  # fmt: skip
     if corrected is not None:
         _plot_corrected(axes["corrected"], time, corrected, model, noise, time_label)
     figure.suptitle(title)
@@ -210,14 +211,11 @@ def plot_fit(
 ):  # fmt: skip
     """Draw data, model, residual and PSF, positions against POS_CORR, chi-squared, light curve.
 
-    A sensitivity takes the place of the light curve.
-
     Parameters
     ----------
     data, model, residual : array_like
-        Images ``(ny, nx)`` in e-/s. Data and model are drawn on one scale, linear for what is
-        fainter than a hundredth of the brightest pixel and logarithmic above, the residual on a
-        linear scale of its own.
+        Images ``(ny, nx)`` in e-/s. The scale of data and model is linear up to a hundredth of the
+        brightest pixel and logarithmic above, that of the residual is linear.
     x, y : array_like
         Positions ``(n_cadences,)`` in pixels.
     psf : array_like, optional
@@ -230,11 +228,11 @@ def plot_fit(
         POS_CORR ``(n_cadences, 2)`` in pixels; without it the positions are drawn as a track.
     sensitivity : dict, optional
         "offset" from the pixel's center, and for "x" and "y" the response and its standard
-        deviation there, NaN where a coefficient is at its bound.
+        deviation there, NaN where a coefficient is at its bound; instead of the light curve.
     chi2 : array_like, optional
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
     time, flux : array_like or `~astropy.units.Quantity`, optional
-        Light curve ``(n_cadences,)`` in days and e-/s. Arrows stand for values beyond the scale.
+        Light curve ``(n_cadences,)`` in days and e-/s.
     {time_label}
 
     Returns
@@ -278,12 +276,16 @@ def _draw_images(axes, data, model, residual):
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
     _style.show_image(axes["data"], data, _TITLES["data"], norm=light)
     bar = _style.show_image(axes["model"], model, _TITLES["model"], FLUX, norm=light)
-    ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
-    bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
-    bar.minorticks_off()
+    _set_ticks(bar, top)
     title = f"{_TITLES['residual']}, to {100 * largest / top:.2g} %"
     scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
     _style.show_image(axes["residual"], residual, title, FLUX, **scale)
+
+
+def _set_ticks(bar, top):
+    ticks = [part * top for part in (0.0, _LINEAR, 0.1, 1)]
+    bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
+    bar.minorticks_off()
 
 
 def _write_numbers(bar):
@@ -296,8 +298,7 @@ def _draw_psf(ax, psf, extent, width):
     title, norm = "PSF" if width is None else f"PSF, {width}", AsinhNorm(_LINEAR, 0, 1)
     bar = _style.show_image(ax, psf, title, "Relative density", extent=extent, norm=norm)
     ax.set(xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
-    bar.set_ticks([0, _LINEAR, 0.1, 1], labels=["0", f"{_LINEAR}", "0.1", "1"])
-    bar.minorticks_off()
+    _set_ticks(bar, 1)
 
 
 def _draw_flux(ax, time, flux, label):
@@ -332,8 +333,8 @@ def _draw_sensitivity(ax, sensitivity):
         label += ", at its bound" if np.isnan(error).any() else ""
         ax.plot(offset, value, line, color=color, label=label)
         ax.fill_between(offset, value - error, value + error, color=color, alpha=0.25, lw=0)
-    ax.set(title="Sensitivity")
-    ax.set(xlabel="Offset from the pixel's center (pixel)", ylabel="Relative response")
+    label = "Offset from the pixel's center (pixel)"
+    ax.set(title="Sensitivity", xlabel=label, ylabel="Relative response")
     ax.legend(fontsize="small")
 
 
@@ -346,8 +347,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     time : array_like
         Times ``(n_cadences,)`` in days.
     real, twin : sequence of array_like
-        Light curves ``(n_cadences,)`` relative to 1: as summed, and de-trended. The axes leave out
-        outliers.
+        Light curves ``(n_cadences,)`` relative to 1: as summed, and de-trended.
     residuals : sequence of array_like
         Standard deviation of data less model, in errors, of each pixel ``(ny, nx)``: of the
         star and of its twin.

@@ -28,9 +28,7 @@ _WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_e
 @documented()
 @dataclass(frozen=True, eq=False, repr=False)
 class Observation(Value):
-    """The pixels of a simulation, with the truth.
-
-    `simulate` makes it.
+    """The pixels of a simulation by `simulate`, with the truth.
 
     Parameters
     ----------
@@ -38,23 +36,21 @@ class Observation(Value):
         Flux after subtraction of the background, e-/s.
     flux_err : ndarray of shape (n_cadences, ny, nx)
         True standard deviation of ``flux`` by the noise terms that are switched on, e-/s; at least
-        that of rounding to single precision, so that it is positive even without noise.
+        that of rounding to single precision.
     flux_bkg : ndarray of shape (n_cadences, ny, nx)
-        Background that was subtracted, e-/s. It is the true level.
+        True background, which was subtracted, e-/s.
     raw_cnts : ndarray of int, shape (n_cadences, ny, nx)
-        Digital numbers of the whole cadence, at least 0, with background and fixed offset; -1
-        where there are no data.
+        Digital numbers of the whole cadence, with background and fixed offset; -1 without data.
     quality : ndarray of int, shape (n_cadences,)
-        Quality flags: those of the motion and of the effects.
+        Quality flags of the motion and of the effects.
     scene : Scene
         The scene, with its seed: ``simulate(scene)`` gives the same pixels again.
     truth : ~scope_models.io.Truth
         What lies behind the pixels.
     aperture : ndarray of bool, shape (ny, nx)
-        Pixels of the highest signal-to-noise ratio of the target, whose charge may bleed; all if
-        it has no light there.
+        Pixels of the highest signal-to-noise ratio of the target; all if it has no light there.
     star_images : ndarray of shape (n_stars, ny, nx)
-        Mean flux of each star in the pixels, with their response, before saturation, e-/s.
+        Mean flux of each star with the response of the pixels, before saturation, e-/s.
 
     Examples
     --------
@@ -85,11 +81,10 @@ class Observation(Value):
                 object.__setattr__(self, name, frozen(value))
 
     def __repr__(self):
-        n, ny, nx = self.flux.shape
-        stars = f"{len(self.stars)} star{'s' if len(self.stars) > 1 else ''}"
+        (n, ny, nx), n_stars = self.flux.shape, len(self.stars)
         return (
-            f"<Observation {self.detector.mission}: {n} cadences of {ny} x {nx} pixels, {stars}, "
-            f"seed {self.truth.seed}>"
+            f"<Observation {self.detector.mission}: {n} cadences of {ny} x {nx} pixels, "
+            f"{n_stars} star{'s' if n_stars > 1 else ''}, seed {self.truth.seed}>"
         )
 
     def _repr_html_(self):
@@ -144,8 +139,8 @@ class Observation(Value):
     def target_share(self, aperture_mask=None):
         """Return the target's share in the starlight of an aperture, cadence by cadence.
 
-        One minus it is the contamination: a signal of the target is diluted by the share. For
-        other pixels than those of `aperture`, the stars are rendered again.
+        It dilutes a signal of the target; one minus it is the contamination. For other pixels
+        than those of `aperture`, the stars are rendered again.
 
         Parameters
         ----------
@@ -287,10 +282,9 @@ class Observation(Value):
         ----------
         corrected : lightkurve.LightCurve or array_like, optional
             The corrected light curve, with a column ``cadenceno``, or one value per cadence. It is
-            drawn over the raw one, and alone beside the true signal and the expected noise.
+            drawn over the raw one, and again with the true signal and the expected noise.
         aperture_mask : array_like of bool, shape (ny, nx), optional
-            The pixels of the raw light curve, such as those of the corrector. The default is
-            `aperture`.
+            The pixels of the raw light curve. The default is `aperture`.
         title : str, optional
             Title of the figure; the name in the scene by default.
 
@@ -343,8 +337,7 @@ class Observation(Value):
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            The animation; keep it, and show it or ``.save()`` it. Its ``to_jshtml()`` is a page
-            with buttons.
+            The animation; keep it, and show it or ``.save()`` it.
 
         Raises
         ------

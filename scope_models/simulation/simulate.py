@@ -32,10 +32,10 @@ _APERTURE_CADENCES = 64  # enough to choose an aperture
 def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=None, **options):
     """Simulate what a detector records of moving stars.
 
-    The expected electrons of all stars come first: each PSF times the sensitivity of the pixels
-    is integrated over them at the star's position, times the relative flux and the interpixel
-    map. Then photons of stars and background are drawn (Poisson), what the wells do not hold
-    bleeds along the columns, and read noise (normal) and digitization come last.
+    Each PSF times the sensitivity of the pixels is integrated over them at the star's position,
+    times the relative flux and the interpixel map. Then photons of stars and background are drawn
+    (Poisson), what the wells do not hold bleeds along the columns, and read noise (normal) and
+    digitization come last.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     keep_model : bool, optional
         Whether the truth keeps the noise-free cube.
     chunk_size : int, optional
-        Cadences per piece of work, rounded up to a multiple of 16; the default is a size that
-        suits the processor's cache. It does not change the result.
+        Cadences per piece of work, rounded up to a multiple of 16, by default to suit the
+        processor's cache. It does not change the result.
     **options
         Other fields of `~scope_models.Scene`: ``seed``, ``noise`` (default True), ``n_sub``
         (default 1), ``effects`` (default none), and what identifies the target, as ``target_id``.
-        With a scene, they replace its own.
+        They replace those of a scene.
 
     Returns
     -------
@@ -69,8 +69,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Warns
     -----
     LostLightWarning
-        If the target loses more than 5 % of its light off the stamp where the motion takes it
-        farthest, or more than 5 % of the charge of a cadence bleeds off the stamp.
+        If more than 5 % of the target's light falls off the stamp where the motion takes it
+        farthest, or more than 5 % of the charge of a cadence bleeds off it.
 
     Notes
     -----
@@ -78,9 +78,9 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     cadences follow, and wherever the expected electrons of a pixel are the same: a transit
     changes only the pixels of its star.
 
-    Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
-    ends of the bleeding column, as in real files. The errors of the flux are those of the light
-    that a pixel holds, as in real files, too.
+    Wells fill with the charge that is detected: as in real files, a full pixel has no photon noise,
+    which is at the ends of the bleeding column, and the errors of the flux are those of the light
+    that a pixel holds.
 
     With very many stars a bar shows the progress on a terminal, from the fifth second on.
 
@@ -143,8 +143,9 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
             piece = {name: cube[part] for name, cube in cubes.items()}
             _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
     flux_bkg.flags.writeable = False  # then it is not copied
-    text = "{} of the charge of a cadence bleeds along full columns"
-    _warn_of_loss(text, spilled, scene.detector.shape)
+    _warn_of_loss(
+        "{} of the charge of a cadence bleeds along full columns", spilled, scene.detector.shape
+    )
     return Observation(
         **cubes, flux_bkg=np.broadcast_to(flux_bkg, shape), scene=scene,
         quality=_flag(prepared, cubes),
