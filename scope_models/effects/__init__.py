@@ -9,6 +9,7 @@ from scope_models.effects.charge import (
     RollingBands,
     Smear,
     Undershoot,
+    mission_effects,
 )
 from scope_models.effects.light import (
     Focus,
@@ -18,7 +19,6 @@ from scope_models.effects.light import (
     SensitivityDropouts,
     Throughput,
 )
-from scope_models.effects.presets import mission_effects
 from scope_models.effects.sky import (
     Argabrightening,
     Background,

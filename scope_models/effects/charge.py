@@ -1,4 +1,4 @@
-"""Effects on charge: where it arises, while it is collected, and while it is read."""
+"""Effects on charge, and those of each mission, most of which are on charge."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -10,10 +10,12 @@ from scipy.special import ndtr, xlog1py
 from scope_models._arrays import plain_array
 from scope_models._checks import integer, number
 from scope_models.effects.base import Drawn, Effect, number_of_events
+from scope_models.effects.light import Focus
+from scope_models.effects.sky import ScatteredLight
 
 __all__ = [
     "BrighterFatter", "ChargeTransferInefficiency", "CosmicRays", "DarkCurrent", "RollingBands",
-    "Smear", "Undershoot",
+    "Smear", "Undershoot", "mission_effects",
 ]  # fmt: skip
 
 _POINTS = 16  # per pixel, at which the charge of a track is put down
@@ -43,9 +45,9 @@ class Smear(Effect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Smear
     >>> scene = Star(12.0), Detector.k2(background=0.0), Motion.still(1)
-    >>> observation = simulate(*scene, noise=False, effects=[Smear()])
-    >>> print((observation.flux_bkg[0, 0, 5] / observation.flux[0, :, 5].sum()).round(7))
-    8.06e-05
+    >>> observation = simulate(*scene, seed=1, effects=Smear())
+    >>> print(observation.flux_bkg[0, 0, 5].round(1))
+    9.5
     """
 
     rows: int = integer(1070, 1)
@@ -82,7 +84,7 @@ class DarkCurrent(Effect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import DarkCurrent
     >>> scene = Star(12.0), Detector.k2(), Motion.still(1)
-    >>> truth = simulate(*scene, seed=1, effects=[DarkCurrent(10.0)]).truth
+    >>> truth = simulate(*scene, seed=1, effects=DarkCurrent(10.0)).truth
     >>> print(truth.maps["DARKCURRENT"].mean().round(1))
     9.9
     """
@@ -144,10 +146,10 @@ class CosmicRays(Effect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import CosmicRays
-    >>> scene = Star(12.0), Detector.k2(), Motion.still(100)
-    >>> truth = simulate(*scene, seed=1, effects=[CosmicRays()]).truth
-    >>> 700 < len(truth.tables["COSMICRAYS"]) < 1500
-    True
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(1)
+    >>> truth = simulate(*scene, seed=1, effects=CosmicRays()).truth
+    >>> len(truth.tables["COSMICRAYS"])
+    15
     """
 
     rate: float = number(5.0, "1 / (cm2 s)")
@@ -272,10 +274,9 @@ class BrighterFatter(Effect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import BrighterFatter
     >>> scene = Star(12.0), Detector.k2(), Motion.still(1)
-    >>> fat = simulate(*scene, seed=1, noise=False, effects=[BrighterFatter()])
-    >>> thin = fat.model()
-    >>> print((fat.flux[0, 5, 5] / thin[0, 5, 5]).round(3), (fat.flux.sum() / thin.sum()).round(6))
-    0.983 1.0
+    >>> fat = simulate(*scene, seed=1, noise=False, effects=BrighterFatter())
+    >>> print((fat.flux[0, 5, 5] / fat.model()[0, 5, 5]).round(3))
+    0.983
     """
 
     coefficient: float = number(0.02)
@@ -442,10 +443,9 @@ class RollingBands(Effect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import RollingBands
     >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
-    >>> observation = simulate(*scene, seed=1, effects=[RollingBands(rate=0.3)])
-    >>> banded = observation.truth.columns["ROLLINGBANDS"] > 3.5 / 2
-    >>> bool((observation.quality[banded] == 131072).all())
-    True
+    >>> truth = simulate(*scene, seed=1, effects=RollingBands(rate=0.3)).truth
+    >>> print(truth.columns["ROLLINGBANDS"].max().round(1))
+    8.6
     """
 
     rate: float = number(0.1, "1 / day")
@@ -483,3 +483,39 @@ class RollingBands(Effect):
 
     def quality(self, drawn, conditions):
         return conditions.bit("rolling_band") * (drawn.columns["ROLLINGBANDS"] > self.amplitude / 2)
+
+
+def mission_effects(detector):
+    """Return the effects that a mission's detector has.
+
+    Those of Kepler and K2 are `CosmicRays`, `Smear`, `Undershoot` and `RollingBands`, whose
+    defaults are Kepler's. K2 has a `Focus`, too, that changes by 1 % over a campaign of 80 days, as
+    the fitted widths of real stars of campaign 5; leave it out with a PRF table, whose width cannot
+    change. TESS has `CosmicRays` in pixels of 15 micrometers, with the rejection of reads where the
+    detector's cadence has it, and `ScatteredLight`. Effects without a number of the mission, as
+    dropouts of the sensitivity, are not among them.
+
+    Parameters
+    ----------
+    detector : Detector
+        The detector.
+
+    Returns
+    -------
+    tuple of Effect
+        The effects, empty if the detector is of no mission.
+
+    Examples
+    --------
+    >>> from scope_models import Detector
+    >>> from scope_models.effects import mission_effects
+    >>> [effect.name for effect in mission_effects(Detector.tess())]
+    ['CosmicRays', 'ScatteredLight']
+
+    """
+    if detector.mission == "TESS":
+        return CosmicRays(pixel_size=15.0, rejection=detector.live_fraction < 1), ScatteredLight()
+    photometer = CosmicRays(), Smear(), Undershoot(), RollingBands()
+    if detector.mission == "K2":
+        return Focus(0.005, period=160.0, phase=0.0), *photometer
+    return photometer if detector.mission == "Kepler" else ()

@@ -64,12 +64,11 @@ class Focus(Effect):
 
     Examples
     --------
-    >>> from astropy import units as u
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Focus
-    >>> breathing = Focus(0.01, period=12 * u.hour)
-    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(48), effects=[breathing])
-    >>> print(observation.truth.columns["FOCUS"].max().round(3))
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> truth = simulate(*scene, seed=1, effects=Focus(0.01, period=0.5)).truth
+    >>> print(truth.columns["FOCUS"].max().round(3))
     1.01
     """
 
@@ -129,10 +128,10 @@ class Jitter(Effect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Jitter
-    >>> motion = Motion.still(500, cadence=120 / 86400, time_format="btjd")
-    >>> truth = simulate(Star(9.0), Detector.tess(), motion, seed=1, effects=[Jitter(0.05)]).truth
-    >>> print(truth.columns["JITTER_BLUR"][0].round(3), truth.columns["JITTER_X"].std().round(3))
-    0.05 0.006
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> truth = simulate(*scene, seed=1, effects=Jitter(0.05)).truth
+    >>> print(truth.columns["JITTER_BLUR"].max().round(3))
+    0.05
     """
 
     rms: float = number(unit="pix")
@@ -192,14 +191,10 @@ class PixelShares(Effect):
     One percent of the star's light is in the first pixel instead of the middle one:
 
     >>> import numpy as np
-    >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import PixelShares
     >>> moved = np.zeros((1, 11, 11))
     >>> moved[0, 0, 0], moved[0, 5, 5] = 0.01, -0.01
-    >>> shares = PixelShares(moved)
-    >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
-    >>> with_it, without = (simulate(*scene, seed=1, noise=False, effects=e) for e in (shares, ()))
-    >>> print(((with_it.flux - without.flux)[0, 0, 0] / 1.74e5).round(3))
+    >>> print(PixelShares(moved).changes([5.0], [5.0], [0.5])[0, 0, 0])
     0.01
     """
 
@@ -313,11 +308,10 @@ class Throughput(Effect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Throughput
-    >>> scene = Star(12.0), Detector.k2(), Motion.still(5)
-    >>> observation = simulate(*scene, noise=False, effects=[Throughput(drift=-0.01)])
-    >>> total = observation.flux.sum(axis=(1, 2))
-    >>> print((total / total[2]).round(6))
-    [1.000409 1.000204 1.       0.999796 0.999591]
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> truth = simulate(*scene, seed=1, effects=Throughput(drift=-0.01)).truth
+    >>> print(truth.columns["THROUGHPUT"].max().round(3))
+    1.051
     """
 
     amplitude: float = number(0.0, any_sign=True)
@@ -369,10 +363,9 @@ class SensitivityDropouts(Effect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import SensitivityDropouts
     >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
-    >>> observation = simulate(*scene, seed=1, effects=[SensitivityDropouts(rate=0.005)])
-    >>> events = observation.truth.tables["SENSITIVITYDROPOUTS"]
-    >>> bool((observation.quality[events["CADENCE"]] == 1024).all())
-    True
+    >>> truth = simulate(*scene, seed=1, effects=SensitivityDropouts(rate=0.005)).truth
+    >>> len(truth.tables["SENSITIVITYDROPOUTS"])
+    4
     """
 
     rate: float = number(1e-4, "1 / day")
@@ -427,12 +420,10 @@ class Gaps(Effect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Gaps
-    >>> motion = Motion.still(10)
-    >>> gap = Gaps([(motion.time[2], motion.time[4])])
-    >>> observation = simulate(Star(12.0), Detector.k2(), motion, effects=[gap])
-    >>> observation.quality
-    array([    0,     0, 65536, 65536, 65536,     0,     0,     0,     0,
-               0], dtype=int32)
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> truth = simulate(*scene, seed=1, effects=Gaps([scene[2].time[2:4]])).truth
+    >>> print(truth.columns["GAPS"].sum())
+    2.0
     """
 
     intervals: np.ndarray

@@ -179,14 +179,12 @@ class Extinction(Effect):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Extinction
-    >>> effect = Extinction(0.1, airmass=np.array([1.0, 1.5, 2.0]))
     >>> scene = Star(10.0), Detector.tess(), Motion.ground(3)
-    >>> truth = simulate(*scene, noise=False, effects=effect).truth
-    >>> print(-2.5 * np.log10(truth.columns["EXTINCTION"]))
-    [0.1  0.15 0.2 ]
+    >>> truth = simulate(*scene, seed=1, effects=Extinction(0.1, airmass=[1.0, 1.5, 2.0])).truth
+    >>> print(truth.columns["EXTINCTION"].round(3))
+    [0.912 0.871 0.832]
     """
 
     coefficient: float = number(0.07, "mag")
@@ -238,10 +236,9 @@ class Scintillation(Effect):
 
     Examples
     --------
-    >>> import astropy.units as u
     >>> from scope_models.effects import Scintillation
-    >>> print(f"{1e6 * Scintillation(3.5 * u.m, altitude=2788).rms(60.0):.0f} ppm")
-    195 ppm
+    >>> print(Scintillation(3.5, altitude=2788.0).rms(60.0).round(6))
+    0.000195
     """
 
     aperture: float = number(1.0, "m", positive=True)
@@ -333,8 +330,8 @@ class SkyEffect(Effect):
     """An effect whose truth has a level for each cadence and a plane over the stamp."""
 
     def pedestal(self, drawn, conditions, part, electrons):
-        level = drawn.columns[self.name.upper()][part] * conditions.exposure_time
-        added = level[:, np.newaxis, np.newaxis] * drawn.maps[f"{self.name.upper()}_SHAPE"]
+        (level,), (plane,) = drawn.columns.values(), drawn.maps.values()
+        added = np.multiply.outer(level[part] * conditions.exposure_time, plane)
         return added, added * (1 - self.residual)
 
     def _drawn(self, conditions, level):
@@ -378,11 +375,10 @@ class Background(SkyEffect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Background
-    >>> sky = Background(100.0, drift=20.0, gradient=(0.01, 0.0), residual=0.1)
-    >>> scene = Star(12.0), Detector.k2().without_sensitivity(), Motion.still(3)
-    >>> observation = simulate(*scene, noise=False, effects=[sky])
-    >>> print(observation.flux[1, 0, 5].round(2), observation.flux_bkg[1, 0, 5].round(2))
-    10.0 374.0
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> truth = simulate(*scene, seed=1, effects=Background(100.0, drift=2.0)).truth
+    >>> print(truth.columns["BACKGROUND"].max().round(1))
+    110.2
     """
 
     level: float = number(0.0, _RATE)
@@ -446,11 +442,10 @@ class ScatteredLight(SkyEffect):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import ScatteredLight
-    >>> motion = Motion.still(28, cadence=0.5, start=1325.0, time_format="btjd")
-    >>> scene = Star(10.0), Detector.tess(), motion
-    >>> light = simulate(*scene, effects=[ScatteredLight()]).truth.columns["SCATTEREDLIGHT"]
-    >>> print(light[[0, 2, 14, 27]].round(1))
-    [1.3386e+03 4.9150e+02 2.0000e-01 1.0957e+03]
+    >>> scene = Star(10.0), Detector.tess(), Motion.still(3)
+    >>> truth = simulate(*scene, seed=1, effects=ScatteredLight()).truth
+    >>> print(truth.columns["SCATTEREDLIGHT"].max().round(1))
+    1338.6
     """
 
     peak: float = number(1340.0, _RATE)
@@ -503,10 +498,9 @@ class Argabrightening(SkyEffect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import Argabrightening
     >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
-    >>> observation = simulate(*scene, seed=1, effects=[Argabrightening(rate=1.0)])
-    >>> flashes = observation.truth.columns["ARGABRIGHTENING"] > 0
-    >>> bool((observation.quality[flashes] == 64).all())
-    True
+    >>> truth = simulate(*scene, seed=1, effects=Argabrightening(rate=1.0)).truth
+    >>> print((truth.columns["ARGABRIGHTENING"] > 0).sum())
+    9
     """
 
     rate: float = number(0.05, "1 / day")
@@ -572,10 +566,10 @@ class NightSky(SkyEffect):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.effects import NightSky
     >>> full = NightSky(moon_altitude=50.0, moon_separation=60.0, moon_phase=5.0)
-    >>> detector = Detector.tess(background=10.0)
-    >>> truth = simulate(Star(10.0), detector, Motion.ground(1), effects=full).truth
+    >>> scene = Star(10.0), Detector.tess(background=10.0), Motion.ground(3)
+    >>> truth = simulate(*scene, seed=1, effects=full).truth
     >>> print(truth.columns["NIGHTSKY"].round(0))
-    [96.]
+    [96. 96. 96.]
     """
 
     airmass: float | np.ndarray = field(default=1.0, metadata=per_cadence(low=1))

@@ -39,8 +39,7 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     Examples
     --------
     >>> from scope_models.plotting.detrending import plot_comparison
-    >>> axes = plot_comparison([0, 1, 2], {"raw": [99, 100, 103], "pld": [100, 101, 100]})
-    >>> len(axes)
+    >>> len(plot_comparison([0, 1, 2], {"raw": [99, 100, 103], "pld": [100, 101, 100]}))
     2
     """
     n, shown, shared = len(fluxes), [], {"sharex": True, "sharey": True, "squeeze": False}
@@ -82,9 +81,8 @@ def plot_detrending(
     Examples
     --------
     >>> from scope_models.plotting.detrending import plot_detrending
-    >>> axes = plot_detrending([0, 1, 2], [99, 100, 103], [100, 101, 100])
-    >>> [ax.get_ylabel() for ax in axes]
-    ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
+    >>> len(plot_detrending([0, 1, 2], [99, 100, 103], [100, 101, 100]))
+    3
     """
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
     for ax, values, color, label in (
@@ -138,9 +136,8 @@ def plot_detrending_masks(image, aperture, scatter):
     Examples
     --------
     >>> from scope_models.plotting.detrending import plot_detrending_masks
-    >>> axes = plot_detrending_masks([[1, 9]], [[False, True]], [[0, 0.1]])
-    >>> [ax.get_title() for ax in axes]
-    ['Flux (e-/s)', 'Scatter of the pixel fractions']
+    >>> len(plot_detrending_masks([[1, 9]], [[False, True]], [[0, 0.1]]))
+    2
     """
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
@@ -175,13 +172,12 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     --------
     >>> from scope_models.plotting.detrending import plot_states
     >>> name = "Column (pixel)"
-    >>> axes = plot_states([0, 1], {name: [4.0, 4.1]}, {name: [[-0.1, 0.1]]}, [[False, True]])
-    >>> sorted(axes)
+    >>> sorted(plot_states([0, 1], {name: [4.0, 4.1]}, {name: [[-0.1, 0.1]]}))
     ['Column (pixel)', 'leak, Column (pixel)']
     """
     mosaic = [[f"leak, {name}" if name in leaks else ".", name] for name in states]
     figure = plt.figure(figsize=(11, 1.2 + 2.1 * len(states)), layout="constrained")
-    axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2), empty_sentinel=".")
+    axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2))
     for name, values in states.items():
         ax, state = axes[name], plain_array(values, None, name)
         ax.plot(time, state, ".", ms=2, color=DARK)

@@ -113,9 +113,8 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
     >>> import numpy as np
     >>> from scope_models.plotting import plot_detector
     >>> fine = np.ones((20, 30))
-    >>> axes = plot_detector(fine, fine, np.eye(2, 3), oversample=10)
-    >>> [ax.get_title() for ax in axes]
-    ['(a) Sensitivity', '(b) PSF on the detector', '(c) Pixel image']
+    >>> len(plot_detector(fine, fine, np.eye(2, 3), oversample=10))
+    3
     """
     if axes is None:
         _, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained")
@@ -177,9 +176,8 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
     Examples
     --------
     >>> from scope_models.plotting import plot_scene
-    >>> ax = plot_scene([0, 1], [2, 2.5], [3, 3], (6, 6), [(2, 3), (4, 1)], [12.0, 14.0])
-    >>> [text.get_text() for text in ax.texts]
-    ['12', '14']
+    >>> plot_scene([0, 1], [2, 2.5], [3, 3], (6, 6), [(2, 3)], [12.0]).get_xlim()
+    (np.float64(-0.5), np.float64(5.5))
     """
     ax = _style.given_or_new(ax, 5.4, 4.2)
     _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
@@ -249,8 +247,7 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     --------
     >>> import numpy as np
     >>> from scope_models.plotting import animate_pixels
-    >>> animation = animate_pixels(np.random.default_rng(1).random((3, 4, 5)))
-    >>> html = animation.to_jshtml()
+    >>> html = animate_pixels(np.ones((3, 4, 5))).to_jshtml()
     """
     if cube.ndim != 3:
         raise ValueError(f"`cube` must have shape (n_cadences, ny, nx), got {cube.shape}")

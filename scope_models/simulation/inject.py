@@ -30,9 +30,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
         or one number for each cadence. Without it, ``star`` is added as a whole.
     star : Scene, TPFFit, Star or float, optional
         The light that the signal multiplies: the first star of a scene or of the ``scene()`` of a
-        fit; a star on the pixels of the file, with its motion; or the star's share in the light of
-        all pixels, between 0 and 1. The default is the scene in a simulated file. Without a
-        signal, a `~scope_models.Star` that is not yet in the file.
+        fit; a star on the pixels of the file, with its motion; or its share in the light of all
+        pixels, between 0 and 1. The default is the scene in a simulated file. Without a signal, a
+        star that is not yet in the file.
     seed : int, optional
         Seed of the photon noise.
     noise : bool, optional
@@ -63,11 +63,10 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     --------
     >>> from scope_models import Detector, Motion, Star, TransitModel, inject, simulate
     >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(200), seed=1).to_tpf()
-    >>> planet = TransitModel.from_depth_duration(
-    ...     0.01, duration=0.2, period=2.0, t0=tpf.time.value[50], exposure_time=0.0204)
+    >>> planet = TransitModel.from_depth_duration(0.01, duration=0.2, period=2.0, t0=2344.5)
     >>> injected = inject(tpf, planet, seed=2)
-    >>> round(float((injected.flux - tpf.flux).value[50].sum() / tpf.flux.value[50].sum()), 3)
-    -0.01
+    >>> print((injected.flux.sum() / tpf.flux.sum()).round(4))
+    0.9992
     """
     if not isinstance(noise, bool | np.bool_):
         raise TypeError(f"`noise` must be True or False, got {noise!r}")
