@@ -122,9 +122,9 @@ class Exposures(Value):
     weights : ndarray of shape (k,)
         Parts of the exposure, whose sum is 1.
     blur : float, optional
-        Standard deviation, pixels, of a normal distribution of positions about each offset.
+        Standard deviation of a normal distribution about each offset, pixels.
     nodes : int, optional
-        Gauss-Hermite nodes per axis for the blur of PSFs that are not Gaussian.
+        Gauss-Hermite nodes per axis for PSFs that are not Gaussian.
 
     Examples
     --------
@@ -234,9 +234,9 @@ class Effect(Value):
     (Dimming(factor=0.5),)
     """
 
-    #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
+    #: Whether the pedestal is light, to which the pixels respond.
     is_light = True
-    #: Place among the effects of a stage; effects of one place act in the order of their names.
+    #: Place among the effects of a stage; those of one place act in the order of their names.
     place = 0
 
     def __init_subclass__(cls, **options):
@@ -307,13 +307,13 @@ class Effect(Value):
         """
 
     def charge(self, drawn, conditions, part, electrons):
-        """Change the charge of each pixel, (m, ny, nx), after photon noise, in place."""
+        """Change the charge of each pixel, (m, ny, nx), in place."""
 
     def readout(self, drawn, conditions, part, electrons):
-        """Change the charge while it is read, (m, ny, nx), before read noise, in place."""
+        """Change the charge while it is read, (m, ny, nx), in place."""
 
     def calibrate(self, drawn, conditions, part, electrons):
-        """Take from the charge, (m, ny, nx), what a mission's calibration does, in place."""
+        """Calibrate the charge of each pixel, (m, ny, nx), in place."""
 
     def quality(self, drawn, conditions):
         """Return quality flags to set, shape (n_cadences,), or None."""

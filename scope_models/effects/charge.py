@@ -173,8 +173,7 @@ class CosmicRays(Effect):
         area = (ny + 2 * margin) * (nx + 2 * margin) * (self.pixel_size * 1e-4) ** 2
         n = number_of_events(generator, self.rate * area * seconds * n_cadences)
         cadence = np.sort(generator.integers(n_cadences, size=n))
-        x = generator.uniform(-0.5 - margin, nx - 0.5 + margin, n)
-        y = generator.uniform(-0.5 - margin, ny - 0.5 + margin, n)
+        x, y = (generator.uniform(-0.5 - margin, k - 0.5 + margin, n) for k in (nx, ny))
         angle = generator.uniform(0, 2 * np.pi, n)
         tangent = np.sqrt(1 / (1 - generator.random(n)) - 1)
         depth = self.depth / self.pixel_size
@@ -266,8 +265,8 @@ class BrighterFatter(Effect):
 
     Notes
     -----
-    It acts on the charge after photon noise, background included; ``observation.model()`` is
-    before it. All charge stays on the stamp. Nothing is random.
+    Nothing is random, and ``observation.model()`` is before it. The background moves, too. All
+    charge stays on the stamp.
 
     Examples
     --------
@@ -491,9 +490,9 @@ def mission_effects(detector):
     Those of Kepler and K2 are `CosmicRays`, `Smear`, `Undershoot` and `RollingBands`, whose
     defaults are Kepler's. K2 has a `Focus`, too, that changes by 1 % over a campaign of 80 days, as
     the fitted widths of real stars of campaign 5; leave it out with a PRF table, whose width cannot
-    change. TESS has `CosmicRays` in pixels of 15 micrometers, with the rejection of reads where the
-    detector's cadence has it, and `ScatteredLight`. Effects without a number of the mission, as
-    dropouts of the sensitivity, are not among them.
+    change. TESS has `CosmicRays` in pixels of 15 micrometers, with the rejection where the
+    detector's cadence has it, and `ScatteredLight`. Effects without a number of the mission are
+    left out.
 
     Parameters
     ----------
@@ -511,7 +510,6 @@ def mission_effects(detector):
     >>> from scope_models.effects import mission_effects
     >>> [effect.name for effect in mission_effects(Detector.tess())]
     ['CosmicRays', 'ScatteredLight']
-
     """
     if detector.mission == "TESS":
         return CosmicRays(pixel_size=15.0, rejection=detector.live_fraction < 1), ScatteredLight()

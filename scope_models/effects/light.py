@@ -25,8 +25,7 @@ from scope_models.effects.base import (
 
 __all__ = ["Focus", "Gaps", "Jitter", "PixelShares", "SensitivityDropouts", "Throughput"]
 
-# Highest degree in position of terms that change in time.
-_SLOW_DEGREE = 3
+_SLOW_DEGREE = 3  # the highest in position of terms that change in time
 
 
 def _checked_times(name, values):
@@ -178,7 +177,7 @@ class PixelShares(Effect):
     time_range : tuple of float, optional
         First and last time, days.
     degree, time_degree : int, optional
-        Largest i + j, and largest k; terms with k > 0 have i + j of 3 at most.
+        Largest i + j, which is 3 at most if k > 0, and largest k.
     star : int, optional
         Number of the star in the scene.
 
@@ -188,8 +187,6 @@ class PixelShares(Effect):
 
     Examples
     --------
-    One percent of the star's light is in the first pixel instead of the middle one:
-
     >>> import numpy as np
     >>> from scope_models.effects import PixelShares
     >>> moved = np.zeros((1, 11, 11))

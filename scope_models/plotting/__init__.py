@@ -2,9 +2,8 @@
 
 Images are in e-/s with axes in pixels (0-based, an integer is a pixel's center), times in days.
 Figures share one style sheet, ``scope_models.plotting.scope_models``, which
-``matplotlib.style.use`` takes, too. Every figure can be read in black and white: color maps grow
-in lightness, series differ in lightness, marker and size. All functions draw into the Axes given
-as ``ax``, or into a new figure.
+``matplotlib.style.use`` takes, too. They can be read in black and white: color maps grow in
+lightness, series differ in it.
 """
 
 from scope_models.plotting.images import (

@@ -221,7 +221,7 @@ def plot_fit(
     psf_extent : tuple of float, optional
         Left, right, lower and upper border of that grid in pixels.
     psf_width : str, optional
-        What is written above the PSF.
+        Width of the PSF, written above it.
     pos_corr : array_like, optional
         POS_CORR ``(n_cadences, 2)`` in pixels; without it the positions are drawn as a track.
     sensitivity : dict, optional

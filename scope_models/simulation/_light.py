@@ -72,7 +72,7 @@ class StarLight:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene with its seed, and all that is computed before its first cadence."""
+    """A scene, and all that is computed before its first cadence."""
 
     scene: object
     conditions: Conditions
@@ -128,7 +128,7 @@ def _star_lights(scene, positions, conditions, effects):
 
 
 def shown(*values):
-    """Return what `zip` does, and show on a terminal how far it is where it takes long."""
+    """Return what `zip` does, and show a bar on a terminal where it takes long."""
     rows = zip(*values, strict=True)
     if len(values[0]) == 1:
         return rows
@@ -163,8 +163,8 @@ def _exposures(scene):
 def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in some cadences, before bleeding.
 
-    ``sums`` are taken on the way, e-/s: each star's light of all cadences, ``(n_stars, ny, nx)``,
-    and that in an ``aperture``, ``(n_stars, n_cadences)``, with the response of the pixels.
+    ``sums`` grow by each star's light, e-/s: of all cadences, ``(n_stars, ny, nx)``, and in an
+    ``aperture``, ``(n_stars, n_cadences)``, with the response of the pixels.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
@@ -193,10 +193,9 @@ def _response(prepared, cadences):
 
 
 def pedestal(prepared, cadences, electrons):
-    """Return the charge besides the stars' in some cadences, and the part that is subtracted.
+    """Return the charge besides the stars' ``electrons``, and the part that is subtracted.
 
-    Both are expected electrons, ``(ny, nx)`` if they are the same in all cadences, else
-    ``(m, ny, nx)``; ``electrons`` is the expected charge of the stars.
+    Both are expected, ``(ny, nx)`` if they are the same in all cadences, else ``(m, ny, nx)``.
     """
     conditions, response = prepared.conditions, _response(prepared, cadences)
     sky = conditions.background * prepared.interpixel * conditions.exposure_time

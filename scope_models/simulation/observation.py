@@ -138,8 +138,7 @@ class Observation(Value):
     def target_share(self, aperture_mask=None):
         """Return the target's share in the starlight of an aperture, cadence by cadence.
 
-        It dilutes a signal of the target; one minus it is the contamination. For other pixels
-        than those of `aperture`, the stars are rendered again.
+        It dilutes a signal of the target; one minus it is the contamination.
 
         Parameters
         ----------
@@ -365,18 +364,18 @@ class Observation(Value):
 
     def _at_all_cadences(self, corrected):
         """Return a corrected light curve at all cadences, NaN where it has none."""
-        flux = plain_array(getattr(corrected, "flux", corrected), None, "corrected")
+        n, flux = len(self.time), getattr(corrected, "flux", corrected)
+        flux = plain_array(flux, None, "corrected")
         numbers = getattr(corrected, "cadenceno", None)
         if numbers is None:
-            if flux.shape != self.time.shape:
-                n = len(self.time)
+            if flux.shape != (n,):
                 wanted = f"one value for each of the {n} cadences or a column cadenceno"
                 raise ValueError(f"`corrected` must have {wanted}, got shape {flux.shape}")
             return flux
-        places = np.searchsorted(self.cadenceno, np.asarray(numbers)).clip(0, len(self.time) - 1)
+        places = np.searchsorted(self.cadenceno, np.asarray(numbers)).clip(0, n - 1)
         if not np.array_equal(self.cadenceno[places], numbers):
             raise ValueError("`corrected` has cadences that the observation does not have")
-        full = np.full(len(self.time), np.nan)
+        full = np.full(n, np.nan)
         full[places] = flux / np.nanmedian(flux)
         return full
 
