@@ -40,7 +40,7 @@ from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.benchmark import SkyRegime
 from scope_models.correctors import PLDOptions
 from scope_models.effects import Effect, Focus, Gaps, ScatteredLight, airmass, moon_geometry
-from scope_models.effects.cosmic_rays import rejected_shift
+from scope_models.effects.charge import rejected_shift
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions
 from scope_models.io import TPFMetadata, usable_positions

@@ -18,7 +18,7 @@ from scope_models.effects import (
     SensitivityDropouts,
     Throughput,
 )
-from scope_models.effects.cosmic_rays import rejected_shift
+from scope_models.effects.charge import rejected_shift
 
 
 def make_focus_figure():

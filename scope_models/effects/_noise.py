@@ -1,9 +1,8 @@
 """Noise and saturation as pure functions of arrays of electrons and a random generator.
 
 Every effect draws from its own stream (`stream`), and every draw uses up the same amount of random
-numbers for any expected counts. Two simulations with one seed therefore share their noise
-wherever their expected counts are equal: a transit added to one star changes no other pixel, and
-switching one effect off leaves the numbers of the others as they were.
+numbers for any expected counts. Simulations with one seed therefore share their noise wherever
+their expected counts are equal, whatever other effects are switched on.
 """
 
 import secrets
@@ -24,9 +23,7 @@ __all__ = [
 NOISE_TERMS = ("photon", "background", "read", "quantization")
 _DEFAULT_TERMS = frozenset({"photon", "background", "read"})
 
-# Below this mean the quantile is searched exactly; above, the asymptotic inverse picks another
-# integer than the exact inverse in fewer than 1e-4 of all draws, and then its neighbor.
-_SEARCH_BELOW = 30.0
+_SEARCH_BELOW = 30.0  # mean from which the asymptotic quantile is used
 # Beyond this deviate (probability 3e-14) double precision cannot distinguish 1 - u from zero.
 _LARGEST_DEVIATE = 7.5
 # A mean below _RARE gives a count only for a deviate above _RARE_DEVIATE.
@@ -77,21 +74,11 @@ def red_noise(generator, time, correlation_time):
 
 
 def poisson_quantile(deviate, mean):
-    r"""Return Poisson counts at the probability of standard normal deviates.
+    """Return Poisson counts at the probability of standard normal deviates.
 
-    For a deviate :math:`w`, a mean :math:`\lambda` of 30 or more uses the asymptotic inverse of the
-    cumulative distribution function (Giles 2016, ACM Transactions on Mathematical Software, 42, 7,
-    Algorithm 955), the integer part of
-
-    .. math::
-
-        \lambda + \sqrt{\lambda}\,w + \frac{1}{3} + \frac{w^2}{6}
-        - \frac{1}{\sqrt{\lambda}} \left(\frac{w}{36} + \frac{w^3}{72}\right)
-        + \frac{1}{\lambda} \left(-\frac{8}{405} + \frac{7 w^2}{810} + \frac{w^4}{270}\right),
-
-    which differs from the exact inverse, by one count, with a probability of 7e-5 at
-    :math:`\lambda = 30`, 9e-6 at 100 and less than 2e-8 above 1000. Smaller means are searched
-    for the exact quantile.
+    Large means use the asymptotic inverse of the cumulative distribution function, which differs
+    from the exact one, by one count, with a probability of 7e-5 at a mean of 30, 9e-6 at 100 and
+    less than 2e-8 above 1000.
     """
     deviate, mean = np.asarray(deviate, dtype=float), np.asarray(mean, dtype=float)
     shape = np.broadcast_shapes(deviate.shape, mean.shape)
@@ -107,7 +94,10 @@ def poisson_quantile(deviate, mean):
 
 
 def _asymptotic_quantile(deviate, mean):
-    """Return the asymptotic quantile: a polynomial of the deviate, for means of any shape."""
+    """Return the integer part of a polynomial of the deviate, for means of any shape.
+
+    Giles 2016, ACM Transactions on Mathematical Software, 42, 7, Algorithm 955.
+    """
     root, inverse = np.sqrt(mean), 1.0 / mean
     inverse_root = root * inverse
     counts = deviate * (inverse / 270.0)
@@ -151,13 +141,11 @@ def poisson_counts(mean, generator, shape=None):
 def add_quantization(electrons, gain, n_reads, generator):
     """Digitize in place: each read is rounded to whole numbers of ``gain`` electrons.
 
-    The sum over the reads is a whole number of ``gain``. Its error has the variance
-    ``n_reads * gain**2 / 12``: the errors of all reads but one are drawn together as normal
-    noise, the last is the rounding of the sum itself.
+    The errors of all reads but one are drawn together as normal noise, the last is the rounding of
+    the sum itself. The variance is ``n_reads * gain**2 / 12``.
     """
     deviates = generator.standard_normal(electrons.shape)
-    deviates *= gain * np.sqrt((n_reads - 1) / 12.0)
-    electrons += deviates
+    electrons += gain * np.sqrt((n_reads - 1) / 12.0) * deviates
     electrons /= gain
     np.rint(electrons, out=electrons)
     electrons *= gain
@@ -169,8 +157,7 @@ def bleed(charge, well_depth, background=0.0):
 
     Half of a pixel's excess moves up its column and half down, and fills every pixel that it meets;
     what passes the edge of the stamp is lost. The ``background`` is in the wells besides and stays.
-    Transfer is taken as perfect: the flight pipeline's constant for Kepler, 0.9996 per pixel, would
-    leave 0.4 % of the charge behind over ten pixels.
+    Transfer is taken as perfect; the flight pipeline's constant for Kepler is 0.9996 per pixel.
     """
     capacity = well_depth - np.asarray(background)
     full = np.any(charge > capacity, axis=-2)

@@ -1,6 +1,7 @@
 """Base of all effects: parameters, a truth that is drawn once, and a method for each stage."""
 
 import inspect
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 
@@ -25,7 +26,7 @@ TypeError, ValueError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Conditions(Value):
-    """Properties of the scene that effects use.
+    """Properties of a scene that effects use.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class Conditions(Value):
     int_time, read_time : float
         Exposure and read-out of one frame, s.
     n_frames, n_reads : int
-        Frames of a cadence, and those of them that are summed up.
+        Frames of a cadence, and those that are summed.
     read_noise : float
         Standard deviation of one read, electrons.
     background : float
@@ -55,9 +56,8 @@ class Conditions(Value):
     >>> import numpy as np
     >>> from scope_models import Detector
     >>> from scope_models.effects.base import Conditions
-    >>> conditions = Conditions.of(Detector.k2(), np.arange(3.0))
-    >>> conditions.n_reads, conditions.bit("argabrightening")
-    (270, 64)
+    >>> Conditions.of(Detector.k2(), np.arange(3.0)).bit("argabrightening")
+    64
     """
 
     time: np.ndarray
@@ -91,12 +91,11 @@ class Conditions(Value):
         Conditions
             The conditions.
         """
-        own = {"time": time, "n_stars": n_stars}
-        names = [item.name for item in fields(cls) if item.name not in own]
-        return cls(**own, **{name: getattr(detector, name) for name in names})
+        names = {item.name for item in fields(cls)} - {"time", "n_stars"}
+        return cls(time=time, n_stars=n_stars, **{n: getattr(detector, n) for n in names})
 
     def bit(self, name):
-        """Return the mission's quality bit of a meaning.
+        """Return a quality bit of the mission.
 
         Parameters
         ----------
@@ -123,16 +122,16 @@ class Exposures(Value):
     weights : ndarray of shape (k,)
         Parts of the exposure, whose sum is 1.
     blur : float, optional
-        Standard deviation, pixels, of a normal distribution of positions about each offset.
+        Standard deviation of a normal distribution about each offset, pixels.
     nodes : int, optional
-        Gauss-Hermite nodes per axis for the blur of PSFs that are not Gaussian.
+        Gauss-Hermite nodes per axis for PSFs that are not Gaussian.
 
     Examples
     --------
     >>> import numpy as np
     >>> from scope_models.effects.base import Exposures
-    >>> Exposures(np.zeros((5, 2)), np.full((5, 2), [-0.1, 0.1]), np.array([0.5, 0.5])).x.shape
-    (5, 2)
+    >>> Exposures(np.zeros((3, 1)), np.zeros((3, 1)), np.ones(1), blur=0.1).expanded().x.shape
+    (3, 9)
     """
 
     x: np.ndarray
@@ -142,17 +141,17 @@ class Exposures(Value):
     nodes: int = 3
 
     def joined(self, other):
-        """Return the exposures in which each of these has the offsets of others.
+        """Return all sums of two offsets.
 
         Parameters
         ----------
         other : Exposures
-            The others.
+            The other offsets.
 
         Returns
         -------
         Exposures
-            All sums of offsets; the variances of the blur add up.
+            The sums; the variances of the blur add up.
         """
         pairs = (self.x, other.x), (self.y, other.y)
         x, y = ((a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1) for a, b in pairs)
@@ -161,12 +160,12 @@ class Exposures(Value):
         return Exposures(x, y, weights, blur, max(self.nodes, other.nodes))
 
     def expanded(self):
-        """Return exposures without blur: its distribution as offsets of their own.
+        """Return exposures without blur.
 
         Returns
         -------
         Exposures
-            With ``nodes**2`` offsets for each.
+            With ``nodes**2`` offsets in the place of each.
         """
         if not self.blur:
             return self
@@ -188,7 +187,7 @@ class Drawn(Value):
     maps : mapping of str to ndarray of shape (ny, nx)
         Images.
     tables : mapping of str to mapping of str to ndarray
-        Lists of any length: columns by their names.
+        Columns of any length by their names.
 
     Examples
     --------
@@ -207,23 +206,18 @@ class Drawn(Value):
 class Effect(Value):
     """Something that sky, telescope or detector do to light or charge.
 
-    An effect is a frozen dataclass with physical parameters. The simulator draws its truth once
-    (`draw`), from the effect's own stream of random numbers, and then calls the methods below for
-    each piece of the series. An effect implements those that it needs; the others do nothing.
-    They act in this order:
+    An effect is a frozen dataclass of physical parameters. The simulator draws its truth once
+    (`draw`), from its own stream of random numbers, and then calls the methods that it implements:
 
-    1. light: `width`, `exposures`, `shares`, `starlight` and `response`, before the charge of the
-       stars is known;
-    2. light that is not the stars': `pedestal`;
+    1. light of the stars: `width`, `exposures`, `shares`, `starlight` and `response`;
+    2. other light: `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
     5. calibration (not in RAW_CNTS), in reverse order: `calibrate`;
     6. `quality` and `missing` of the cadences.
 
-    Within a stage they act in the order of their `place`, however they are given; only effects of
-    one class act in the order given.
-
-    ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
+    Within a stage effects act in the order of their `place`; only those of one class act in the
+    order given. ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
 
     Examples
     --------
@@ -236,23 +230,21 @@ class Effect(Value):
     ...     def response(self, drawn, conditions, part):
     ...         return self.factor
     >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
-    >>> bright, dim = (simulate(*scene, seed=1, noise=False, effects=e) for e in ((), Dimming()))
-    >>> print((dim.flux.sum() / bright.flux.sum()).round(3))
-    0.5
+    >>> simulate(*scene, effects=Dimming()).scene.effects
+    (Dimming(factor=0.5),)
     """
 
-    #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
+    #: Whether the pedestal is light, to which the pixels respond.
     is_light = True
-    #: Place among the effects of a stage; effects of one place act in the order of their names.
+    #: Place among the effects of a stage; those of one place act in the order of their names.
     place = 0
 
     def __init_subclass__(cls, **options):
-        """Complete the docstring: all effects check their parameters alike."""
+        """Add what all effects raise to the docstring."""
         super().__init_subclass__(**options)
         text = inspect.cleandoc(cls.__doc__ or "")
         if "\nParameters\n---" in text and "\nRaises\n---" not in text:
-            begin = [text.find(f"\n{name}\n---") for name in ("Notes", "References", "Examples")]
-            end = min((place for place in begin if place >= 0), default=len(text))
+            end = re.search(r"(?=\n(Notes|References|Examples)\n---)|\Z", text).start()
             cls.__doc__ = f"{text[:end]}{_RAISES}{text[end:]}\n"
 
     def __post_init__(self):
@@ -266,8 +258,7 @@ class Effect(Value):
     @property
     def by_cadence(self):
         """Names of the parameters that have, or may have, one value for each cadence."""
-        checks = {item.name: item.metadata.get("check") for item in fields(self)}
-        return [name for name, check in checks.items() if check is checked_series]
+        return [f.name for f in fields(self) if f.metadata.get("check") is checked_series]
 
     def at(self, time, new):
         """Return the effect at other times; its values per cadence are interpolated.
@@ -277,7 +268,7 @@ class Effect(Value):
         time : ndarray of shape (n_cadences,)
             Times of the cadences, days, that increase.
         new : ndarray of shape (m,)
-            Other times. Beyond the first and the last one, the nearest value holds.
+            Other times; the nearest value holds outside.
 
         Returns
         -------
@@ -300,8 +291,7 @@ class Effect(Value):
     def shares(self, drawn, conditions, star):
         """Return a function of columns, rows (m,) and a slice, or None.
 
-        It returns what is added to the images of unit flux, shape (m, ny, nx), of the star of a
-        number in the scene.
+        It returns what is added to images of unit flux, (m, ny, nx), of the star of this number.
         """
 
     def starlight(self, drawn, conditions):
@@ -311,20 +301,19 @@ class Effect(Value):
         """Return a factor on all light that broadcasts to (m, ny, nx), or None."""
 
     def pedestal(self, drawn, conditions, part, electrons):
-        """Return charge that is added, and the part of it that is subtracted, or None.
+        """Return charge that is added, and what of it is subtracted, or None.
 
-        Both are expected electrons per cadence that broadcast to (m, ny, nx); ``electrons`` is
-        the expected charge of the stars.
+        Both are expected electrons that broadcast to (m, ny, nx), as is ``electrons`` of the stars.
         """
 
     def charge(self, drawn, conditions, part, electrons):
-        """Change the charge of each pixel, (m, ny, nx), after photon noise, in place."""
+        """Change the charge of each pixel, (m, ny, nx), in place."""
 
     def readout(self, drawn, conditions, part, electrons):
-        """Change the charge while it is read, (m, ny, nx), before read noise, in place."""
+        """Change the charge while it is read, (m, ny, nx), in place."""
 
     def calibrate(self, drawn, conditions, part, electrons):
-        """Take from the charge, (m, ny, nx), what a mission's calibration does, in place."""
+        """Calibrate the charge of each pixel, (m, ny, nx), in place."""
 
     def quality(self, drawn, conditions):
         """Return quality flags to set, shape (n_cadences,), or None."""

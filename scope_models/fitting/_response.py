@@ -12,7 +12,7 @@ import numpy as np
 from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
-from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
+from scope_models.effects.light import PixelShares, polynomial_terms, polynomials, scaled_to
 from scope_models.fitting._parameters import cadence_table, parameter_table
 from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
 from scope_models.fitting._solver import Errors, psf_covariance

@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import reduce
-from operator import mul
 
 import numpy as np
 from tqdm import tqdm
@@ -15,7 +14,7 @@ from scope_models.models._axis import ROWS
 from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [
-    "Prepared", "StarLight", "fill_wells", "gather", "pedestal", "pieces", "prepare",
+    "Prepared", "StarLight", "fill_wells", "gather", "pedestal", "pieces", "prepare", "results_of",
     "share_of_target", "shown",
 ]  # fmt: skip
 
@@ -41,8 +40,8 @@ class StarLight:
     relative_flux: np.ndarray
     passed: np.ndarray
     series: ImageSeries
-    shares: tuple = ()
-    shape: tuple = ()
+    shares: list
+    shape: tuple
 
     @property
     def window(self):
@@ -73,7 +72,7 @@ class StarLight:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene with its seed, and all that is computed before its first cadence."""
+    """A scene, and all that is computed before its first cadence."""
 
     scene: object
     conditions: Conditions
@@ -97,13 +96,19 @@ def prepare(scene):
     return Prepared(scene, conditions, effects, lights, interpixel, positions)
 
 
+def results_of(effects, method, *arguments):
+    """Return what a method of effects returns, without None."""
+    found = (getattr(effect, method)(drawn, *arguments) for effect, drawn in effects)
+    return [each for each in found if each is not None]
+
+
 def _star_lights(scene, positions, conditions, effects):
     detector, time = scene.detector, scene.motion.time
-    factors = (effect.width(drawn, conditions) for effect, drawn in effects)
+    factors = results_of(effects, "width", conditions)
     widths = _checked("width of the PSF", _product(factors), _NARROWEST)
-    added = [effect.exposures(drawn, conditions) for effect, drawn in effects]
-    exposures = _exposures(scene, added)
-    factors = (effect.starlight(drawn, conditions) for effect, drawn in effects)
+    added = results_of(effects, "exposures", conditions)
+    exposures = reduce(Exposures.joined, added, _exposures(scene))
+    factors = results_of(effects, "starlight", conditions)
     passed = _checked("light that passes the atmosphere and the telescope", _product(factors))
     passed = np.ones((len(scene.stars), len(time))) * (1.0 if passed is None else passed)
     expanded, lights = exposures.expanded(), []
@@ -116,15 +121,14 @@ def _star_lights(scene, positions, conditions, effects):
         place = moved.x + x_0, moved.y + y_0
         series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur, (x_0, y_0))
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
-        found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
-        shares = tuple(share for share in found if share is not None)
+        shares = results_of(effects, "shares", conditions, number)
         light = flux, relative, passed[number], series, shares, detector.shape
         lights.append(StarLight(*place, moved.weights, widths, *light))
     return lights
 
 
 def shown(*values):
-    """Return what `zip` does, and show on a terminal how far it is where it takes long."""
+    """Return what `zip` does, and show a bar on a terminal where it takes long."""
     rows = zip(*values, strict=True)
     if len(values[0]) == 1:
         return rows
@@ -133,8 +137,7 @@ def shown(*values):
 
 
 def _product(factors):
-    given = [factor for factor in factors if factor is not None]
-    return reduce(mul, given) if given else None
+    return math.prod(factors) if factors else None
 
 
 def _checked(noun, factor, low=0.0):
@@ -147,23 +150,21 @@ def _checked(noun, factor, low=0.0):
     return factor
 
 
-def _exposures(scene, added):
-    """Return the exposures of the motion, joined with those of effects."""
+def _exposures(scene):
     motion = scene.motion
     x, y = motion.x[:, np.newaxis], motion.y[:, np.newaxis]
     if scene.n_sub > 1:
         parts = (np.arange(scene.n_sub) + 0.5) / scene.n_sub - 0.5
         times = motion.time[:, np.newaxis] + parts * scene.detector.cadence_days
         x, y = (np.interp(times, motion.time, values) for values in (motion.x, motion.y))
-    exposures = Exposures(x, y, np.full(scene.n_sub, 1 / scene.n_sub))
-    return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
+    return Exposures(x, y, np.full(scene.n_sub, 1 / scene.n_sub))
 
 
 def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in some cadences, before bleeding.
 
-    ``sums`` are taken on the way, e-/s: each star's light of all cadences, ``(n_stars, ny, nx)``,
-    and that in an ``aperture``, ``(n_stars, n_cadences)``, with the response of the pixels.
+    ``sums`` grow by each star's light, e-/s: of all cadences, ``(n_stars, ny, nx)``, and in an
+    ``aperture``, ``(n_stars, n_cadences)``, with the response of the pixels.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
@@ -188,15 +189,13 @@ def gather(prepared, cadences, sums=None, aperture=None):
 
 def _response(prepared, cadences):
     """Return the factor of all effects on the light in some cadences, or None."""
-    given = prepared.conditions, cadences
-    return _product(effect.response(drawn, *given) for effect, drawn in prepared.effects)
+    return _product(results_of(prepared.effects, "response", prepared.conditions, cadences))
 
 
 def pedestal(prepared, cadences, electrons):
-    """Return the charge besides the stars' in some cadences, and the part that is subtracted.
+    """Return the charge besides the stars' ``electrons``, and the part that is subtracted.
 
-    Both are expected electrons, ``(ny, nx)`` if they are the same in all cadences, else
-    ``(m, ny, nx)``; ``electrons`` is the expected charge of the stars.
+    Both are expected, ``(ny, nx)`` if they are the same in all cadences, else ``(m, ny, nx)``.
     """
     conditions, response = prepared.conditions, _response(prepared, cadences)
     sky = conditions.background * prepared.interpixel * conditions.exposure_time

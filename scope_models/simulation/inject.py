@@ -14,16 +14,12 @@ from scope_models.simulation.simulate import simulate
 
 __all__ = ["inject"]
 
-_NAME = "INJECTED"
-
 
 def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     """Add a signal to the light of a star in a target pixel file, or add a whole star.
 
-    The change of the expected light is ``(signal - 1)`` times the star's own light; neighbors and
-    background stay as they are. Photon noise changes with it: lost photons take their noise with
-    them, further photons bring their own. Where FLUX_ERR has no positive number, only the photon
-    noise of added light is known, and changes. RAW_CNTS stay as they are.
+    The expected light changes by ``(signal - 1)`` times the star's own light, and photon noise with
+    it; where FLUX_ERR has no positive number, only that of added light is known. RAW_CNTS stay.
 
     Parameters
     ----------
@@ -33,10 +29,10 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
         Relative flux: a function of time (days, as in the file) as `~scope_models.TransitModel`,
         or one number for each cadence. Without it, ``star`` is added as a whole.
     star : Scene, TPFFit, Star or float, optional
-        The light that the signal multiplies: the first star of a scene; that of a fit, by its
-        ``scene()``; a star on the pixels of the file, with its motion; or the share of the star in
-        the light of all pixels, between 0 and 1. The default is the scene that a simulated file
-        holds. Without a signal, a `~scope_models.Star` that is not yet in the file.
+        The light that the signal multiplies: the first star of a scene or of the ``scene()`` of a
+        fit; a star on the pixels of the file, with its motion; or its share in the light of all
+        pixels, between 0 and 1. The default is the scene in a simulated file. Without a signal, a
+        star that is not yet in the file.
     seed : int, optional
         Seed of the photon noise.
     noise : bool, optional
@@ -47,14 +43,12 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     lightkurve.TargetPixelFile
         A new object of the same class. Its table INJECTED has the signal and FLUX_ADDED, the
         expected change of the flux of each pixel, cadence by cadence. The scene and the truth of a
-        simulated file have the signal or the star if it is the scene's light that changes or a
-        star that is added; for other light they stay as they were.
+        simulated file have the change if its own light changes or a star is added.
 
     Raises
     ------
     TypeError
-        If an argument is of the wrong kind, such as a light curve for the file, or both ``signal``
-        and ``star`` are missing.
+        If an argument is of the wrong kind, or both ``signal`` and ``star`` are missing.
     OSError, ValueError
         If the file cannot be read; if the signal is negative, not finite or of another length; if
         the star is outside the stamp, or the scene has another shape.
@@ -69,11 +63,10 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     --------
     >>> from scope_models import Detector, Motion, Star, TransitModel, inject, simulate
     >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(200), seed=1).to_tpf()
-    >>> planet = TransitModel.from_depth_duration(
-    ...     0.01, duration=0.2, period=2.0, t0=tpf.time.value[50], exposure_time=0.0204)
+    >>> planet = TransitModel.from_depth_duration(0.01, duration=0.2, period=2.0, t0=2344.5)
     >>> injected = inject(tpf, planet, seed=2)
-    >>> round(float((injected.flux - tpf.flux).value[50].sum() / tpf.flux.value[50].sum()), 3)
-    -0.01
+    >>> print((injected.flux.sum() / tpf.flux.sum()).round(4))
+    0.9992
     """
     if not isinstance(noise, bool | np.bool_):
         raise TypeError(f"`noise` must be True or False, got {noise!r}")
@@ -136,10 +129,10 @@ def _added(star, tpf, series):
 
 
 def _multiplied(star, relative, tpf, series, electrons):
-    """Return the change of the light of a star, where ``electrons`` are the variance.
+    """Return the change of a star's light, where ``electrons`` are the variance.
 
-    Further: the factor on the residuals, the residuals that do not have it yet, or 0, and the
-    simulation of the changed scene, or None.
+    Further: the factor on the residuals, those that do not have it yet, and the simulation of the
+    changed scene, or None.
     """
     if isinstance(star, Real) and not isinstance(star, bool):
         if not 0 <= star <= 1:
@@ -216,17 +209,17 @@ def _simulated(scene):
 
 def _record(hdus, series, relative, added, star):
     ny, nx = series.flux.shape[1:]
-    number = 1 + sum(hdu.name == _NAME for hdu in hdus)
+    name, number = "INJECTED", 1 + sum(hdu.name == "INJECTED" for hdu in hdus)
     columns = [
         fits.Column("CADENCENO", "J", array=series.cadenceno),
         fits.Column("TIME", "D", "d", array=series.time),
         fits.Column("SIGNAL", "D", array=relative),
         fits.Column("FLUX_ADDED", f"{ny * nx}E", "e-/s", dim=f"({nx},{ny})", array=added),
     ]
-    table = fits.BinTableHDU.from_columns(columns, name=_NAME, ver=number)
+    table = fits.BinTableHDU.from_columns(columns, name=name, ver=number)
     table.header["KIND"] = ("signal" if star is None else "star", "what was injected")
     if star is not None:
         table.header["MAG"] = (star.mag, "magnitude of the star")
     hdus.append(table)
-    hdus[0].header[_NAME] = (number, "times that light was injected")
+    hdus[0].header[name] = (number, "times that light was injected")
     hdus[0].header.set("NEXTEND", len(hdus) - 1)

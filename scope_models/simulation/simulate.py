@@ -32,10 +32,10 @@ _APERTURE_CADENCES = 64  # enough to choose an aperture
 def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=None, **options):
     """Simulate what a detector records of moving stars.
 
-    The expected electrons of all stars come first: each PSF times the sensitivity of the pixels
-    is integrated over them at the star's position, times the relative flux and the interpixel
-    map. Then photons of stars and background are drawn (Poisson), what the wells do not hold
-    bleeds along the columns, and read noise (normal) and digitization come last.
+    Each PSF times the sensitivity of the pixels is integrated over them at the star's position,
+    times the relative flux and the interpixel map. Then photons of stars and background are drawn
+    (Poisson), what the wells do not hold bleeds along the columns, and read noise (normal) and
+    digitization come last.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     keep_model : bool, optional
         Whether the truth keeps the noise-free cube.
     chunk_size : int, optional
-        Cadences per piece of work, rounded up to a multiple of 16; the default is a size that
-        suits the processor's cache. It does not change the result.
+        Cadences per piece of work, rounded up to a multiple of 16, which does not change the
+        result. The default suits the processor's cache.
     **options
         Other fields of `~scope_models.Scene`: ``seed``, ``noise`` (default True), ``n_sub``
         (default 1), ``effects`` (default none), and what identifies the target, as ``target_id``.
-        With a scene, they replace its own.
+        They replace those of a scene.
 
     Returns
     -------
@@ -69,20 +69,19 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Warns
     -----
     LostLightWarning
-        If the target loses more than 5 % of its light off the stamp where the motion takes it
-        farthest, or more than 5 % of the charge of a cadence bleeds off the stamp.
+        If more than 5 % of the target's light falls off the stamp where the motion takes it
+        farthest, or more than 5 % of the charge of a cadence bleeds off it.
 
     Notes
     -----
-    The same seed gives the same noise, whatever other effects are switched on, however many
-    cadences follow, and wherever the expected electrons of a pixel are the same: a transit
-    changes only the pixels of its star.
+    The same seed gives the same noise wherever the expected electrons of a pixel are the same,
+    whatever other effects are switched on and however many cadences follow.
 
-    Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
-    ends of the bleeding column, as in real files. The errors of the flux are those of the light
-    that a pixel holds, as in real files, too.
+    Wells fill with the charge that is detected: as in real files, a full pixel has no photon noise,
+    which is at the ends of the bleeding column, and the errors of the flux are those of the light
+    that a pixel holds.
 
-    With very many stars a bar shows the progress on a terminal, from the fifth second on.
+    With very many stars a bar shows the progress on a terminal after five seconds.
 
     Examples
     --------
@@ -91,8 +90,6 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     >>> observation = simulate(stars, Detector.k2(), Motion.k2_roll(100), seed=7)
     >>> observation.flux.shape
     (100, 11, 11)
-    >>> observation.truth.x.shape
-    (2, 100)
     """
     if not isinstance(stars, Scene):
         scene = Scene(stars, detector, motion, **options)
@@ -143,8 +140,9 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
             piece = {name: cube[part] for name, cube in cubes.items()}
             _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
     flux_bkg.flags.writeable = False  # then it is not copied
-    text = "{} of the charge of a cadence bleeds along full columns"
-    _warn_of_loss(text, spilled, scene.detector.shape)
+    _warn_of_loss(
+        "{} of the charge of a cadence bleeds along full columns", spilled, scene.detector.shape
+    )
     return Observation(
         **cubes, flux_bkg=np.broadcast_to(flux_bkg, shape), scene=scene,
         quality=_flag(prepared, cubes),
@@ -231,14 +229,11 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
 def _flag(prepared, cubes):
     """Return the quality flags, and take away the pixels of cadences without data."""
     quality = prepared.scene.motion.quality.copy()
-    for effect, drawn in prepared.effects:
-        flags = effect.quality(drawn, prepared.conditions)
-        if flags is not None:
-            quality |= np.asarray(flags, dtype=quality.dtype)
-        missing = effect.missing(drawn, prepared.conditions)
-        if missing is not None:
-            cubes["flux"][missing] = cubes["flux_err"][missing] = np.nan
-            cubes["raw_cnts"][missing] = -1
+    for flags in _light.results_of(prepared.effects, "quality", prepared.conditions):
+        quality |= np.asarray(flags, dtype=quality.dtype)
+    for missing in _light.results_of(prepared.effects, "missing", prepared.conditions):
+        cubes["flux"][missing] = cubes["flux_err"][missing] = np.nan
+        cubes["raw_cnts"][missing] = -1
     return quality
 
 

@@ -29,7 +29,7 @@ from scope_models.effects import (
     Undershoot,
     mission_effects,
 )
-from scope_models.effects.cosmic_rays import rejected_shift
+from scope_models.effects.charge import rejected_shift
 from scope_models.io import read_truth
 from scope_models.models import SensitivityPolynomial, TabulatedPRF
 

@@ -8,7 +8,7 @@ import pytest
 from scope_models import BivariateGaussianPSF, Detector, Motion, Star, TPFFit, fit_tpf, simulate
 from scope_models.benchmark import SkyRegime, make_sky
 from scope_models.effects import PixelShares
-from scope_models.effects.shares import polynomial_terms, polynomials
+from scope_models.effects.light import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions, _response
 from scope_models.fitting._products import smoothed
