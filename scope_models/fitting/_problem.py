@@ -11,12 +11,11 @@ from scipy.linalg import block_diag, null_space
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
-from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
     "LARGEST_MOVE", "MEDIAN_SQUARE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations",
-    "Problem", "Settings", "State", "median_image",
+    "Problem", "Settings", "State", "fit_parameters", "median_image",
 ]  # fmt: skip
 
 # Cadences whose derivatives are held at once.
@@ -32,8 +31,16 @@ _FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
 # Standard deviation of positions about POS_CORR that are nothing but its map, pixels: a tenth of
 # the photon noise of a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest step of a position, and how far another star may be from its first guess, pixels.
+# Largest step of a position, and of parameters of a PSF, and how far another star may be from its
+# first guess, pixels.
 LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
+# Narrower PSFs are the same to a pixel. Tighter correlations only cost time; charge that diffuses
+# farther is not collected in pixels.
+_LEAST_WIDTH = 0.1
+_LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
+# Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
+# correction of a table.
+_PRIORS = {"coefficient": 10.0, "correction": 0.1}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -108,6 +115,49 @@ class Settings(FitOptions):
         checked_choice("positions", self.positions, ("free", "start", "prior", "path"))
         if self.interpixel != np.inf:
             object.__setattr__(self, "interpixel", checked_number("interpixel", self.interpixel))
+
+
+@dataclass(frozen=True)
+class FitParameter:
+    """A parameter that all cadences share."""
+
+    name: str
+    kind: str  # as in `PRF.parameter_kinds`, or position, slope, flux, focus
+    lower: float = -np.inf
+    upper: float = np.inf
+    largest_step: float = np.inf
+    relative: bool = False  # whether that is a part of its value
+    prior: float = np.inf  # standard deviation before the fit
+    center: float = 0.0  # ... and mean
+    start: float = 0.0
+
+
+def fit_parameters(prf, shape):
+    """Return the free shared parameters of a PRF on an image, without flux and position.
+
+    Bounds are the model's, narrowed by their kinds: a component wider than half the stamp is
+    background, and no term of a response takes away all of it at a pixel's edge, or doubles it.
+    """
+    numbers, result = numbers_of(prf), []
+    for name in prf.param_names[3:]:
+        parameter, kind = getattr(prf, name), prf.parameter_kinds.get(name, "other")
+        if parameter.fixed:
+            continue
+        lower, upper = _LIMITS.get(kind, (-np.inf, np.inf))
+        if kind == "width":
+            lower, upper = _LEAST_WIDTH, max(shape) / 2
+        elif kind == "response":
+            upper = 2.0 ** prf.response_powers[name][1]
+            lower = -upper
+        low, high = parameter.bounds
+        lower = lower if low is None else max(low, lower)
+        upper = upper if high is None else min(high, upper)
+        relative = kind == "width" or (kind == "other" and lower > 0)
+        moves = relative or kind in {"correlation", "fraction", "offset", "diffusion"}
+        step, prior = LARGEST_MOVE if moves else np.inf, _PRIORS.get(kind, np.inf)
+        given = lower, upper, step, relative, prior
+        result.append(FitParameter(name, kind, *given, start=numbers[name]))
+    return tuple(result)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""The file of a fit, the twin of its star, and shapes with errors to first order."""
+"""Tables and the file of a fit, the twin of its star, shapes with errors to first order."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 from astropy.stats import mad_std
@@ -10,8 +11,8 @@ from scipy.optimize import least_squares
 
 from scope_models._arrays import native
 from scope_models._checks import checked_choice
+from scope_models._values import Value
 from scope_models.effects import Background, Focus, PixelShares
-from scope_models.fitting import _parameters
 from scope_models.io._opening import RefusedError, making, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
@@ -25,10 +26,27 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS", "make_scene", "psf_shape", "read_fit", "sensitivity_profiles", "smoothed",
-    "with_slopes", "write_fit",
+    "CADENCE_UNITS", "SMOOTHING_DAYS", "STATISTICS", "FittedStar", "cadence_table",
+    "degrees_of_freedom", "make_scene", "parameter_table", "propagated", "psf_shape", "read_fit",
+    "sensitivity_profiles", "smoothed", "with_slopes", "write_fit",
 ]  # fmt: skip
 
+_UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
+_RATES = ("flux", "flux_err", "flux_scatter", "background", "background_err")
+# Columns of `TPFFit.cadences`, and their units.
+CADENCE_UNITS = {
+    "time": "d",
+    **dict.fromkeys(("cadenceno", "quality", "focus", "held_out", "outliers"), ""),
+    **dict.fromkeys(("x", "x_err", "y", "y_err", "pos_corr"), "pixel"),
+    **dict.fromkeys(_RATES, "electron / s"),
+}
+# Entries of `TPFFit.statistics`.
+STATISTICS = (
+    *("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "chi2_held_out"),
+)
+# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
+# describe errors of the PSF long before these are seen in chi-squared.
+_TRUE_CHI2 = 1.1
 _CREATOR, _VERSION = "scope_models fit", 2
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
@@ -46,6 +64,71 @@ _REACH, _DIRECTIONS, _RADII = 8.0, 90, 801
 _EVERYWHERE = 0.003
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStar(Value):
+    """Another star in a fit.
+
+    Parameters
+    ----------
+    x, y, flux : ndarray of shape (n,)
+        Position in pixels and flux in e-/s, by cadence.
+    x_err, y_err, flux_err : ndarray of shape (n,)
+        Their errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting import FittedStar
+    >>> star = FittedStar(*np.ones((6, 5)))
+    >>> star.flux.shape
+    (5,)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
+
+    def __post_init__(self):
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+def parameter_table(model, free, values, covariance, at_bounds, statistics):
+    """The shared parameters, of which ``free`` has the kinds, as `TPFFit.parameters` has them."""
+    unknown, reduced = set(at_bounds), statistics["chi2"] / degrees_of_freedom(statistics)
+    has_response = np.isfinite(statistics["chi2_held_out"])
+    if has_response or statistics["error_scale"] > 1 or reduced > _TRUE_CHI2:
+        unknown |= set(model.response_powers)
+    errors = np.where([name in unknown for name in free], np.nan, np.sqrt(np.diag(covariance)))
+    names = [*free, *(name for name in model.param_names[3:] if name not in free)]
+    numbers = numbers_of(model) | dict(zip(free, values, strict=True))
+    kinds = [(model.parameter_kinds | free).get(name, "other") for name in names]
+    columns = {
+        "name": names, "value": [numbers[name] for name in names],
+        "error": [*errors, *[0.0] * (len(names) - len(free))],
+        "unit": [_UNITS.get(kind, "") for kind in kinds],
+        "fixed": [name not in free for name in names], "kind": kinds,
+        "at_bound": [name in at_bounds for name in names],
+    }  # fmt: skip
+    table = Table(columns, dtype=("U32", float, float, "U8", bool, "U16", bool))
+    table["value"].info.format, table["error"].info.format = ".6g", ".2g"
+    return table
+
+
+def degrees_of_freedom(statistics):
+    return max(statistics["n_data"] - statistics["n_parameters"], 1)
+
+
+def cadence_table(columns):
+    """Values by cadence, those that are not None, with the units of `TPFFit.cadences`."""
+    names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
+    units = {name: CADENCE_UNITS[name] or None for name in names}
+    return Table({name: columns[name] for name in names}, units=units)
+
+
 def write_fit(fit, path, *, overwrite):
     from astropy.io import fits
 
@@ -54,12 +137,11 @@ def write_fit(fit, path, *, overwrite):
     primary.header["FITVERS"] = (_VERSION, "version of this format")
     columns = []
     for column in fit.cadences.itercols():
-        unit = {"": None, "electron / s": "e-/s"}  # FITS has no electron
-        unit = unit.get(text := str(column.unit or ""), text)
+        unit = str(column.unit or "").replace("electron / s", "e-/s")  # FITS has no electron
         kind = {"i": "K", "u": "K", "b": "L"}.get(column.dtype.kind, "D")
         for number, part in enumerate(np.atleast_2d(column.T), start=1):
             name = f"{column.name.upper()}{number if column.ndim > 1 else ''}"
-            columns.append(fits.Column(name, kind, unit=unit, array=np.asarray(part)))
+            columns.append(fits.Column(name, kind, unit=unit or None, array=np.asarray(part)))
     neighbors = np.array([list(vars(star).values()) for star in fit.neighbors], dtype=float)
     text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
     hdus = [
@@ -87,7 +169,7 @@ def read_fit(path):
 
 def _fields_of(hdus):
     table = hdus["CADENCES"].data
-    names = [name for name in _parameters.CADENCE_UNITS if name.upper() in table.names]
+    names = [name for name in CADENCE_UNITS if name.upper() in table.names]
     columns = {name: native(table[name.upper()]) for name in names}
     if "POS_CORR1" in table.names:
         columns["pos_corr"] = np.column_stack([native(table[f"POS_CORR{i}"]) for i in (1, 2)])
@@ -102,19 +184,16 @@ def _fields_of(hdus):
     detector |= {"sensitivity": prf["sensitivity"], "psf": None, "interpixel": True}
     maps = {"INTERPIXEL": np.maximum(values["interpixel"], 0.0)}
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
-    response = tuple(PixelShares(**values) for values in shares)
-    statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
+    statistics = {name: described.get(name, np.nan) for name in STATISTICS}
     if described["options"]["interpixel"] is None:
         described["options"]["interpixel"] = np.inf
-    free = [*map(_parameters.FitParameter, described["names"], described["kinds"])]
-    parameters = _parameters.parameter_table(
-        model, free, described["parameters"], values["covariance"], described["at_bounds"],
-        statistics, response=bool(response),
-    )  # fmt: skip
+    free = dict(zip(described["names"], described["kinds"], strict=True))
+    given = described["parameters"], values["covariance"], described["at_bounds"], statistics
     kept = {name: described[name] for name in ("options", "time_format", "meta")}
     return values | kept | {
-        "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
-        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "response": response,
+        "model": model, "parameters": parameter_table(model, free, *given),
+        "cadences": cadence_table(columns), "neighbors": tuple(FittedStar(*star) for star in cube),
+        "response": tuple(PixelShares(**share) for share in shares),
         "detector": make_detector(detector, maps), "statistics": statistics,
     }  # fmt: skip
 
@@ -262,11 +341,16 @@ def sensitivity_profiles(fit):
         powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
         value = sum(getattr(model, name).value * term for name, term in powers.items())
         terms = [powers.get(name, np.zeros_like(offset)) for name in fit.names]
-        terms = np.reshape(terms, (-1, len(offset)))
-        variance = np.einsum("iu,ij,ju->u", terms, fit.covariance, terms)
+        error = propagated(np.reshape(terms, (-1, len(offset))), fit.covariance)
         known = all(fit.errors[name] > 0 for name in fit.names if name in powers)
-        profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
+        profiles[axis] = value, error if known else error * np.nan
     return profiles
+
+
+def propagated(slopes, covariance):
+    """Errors of quantities with derivatives ``(s, ...)`` by parameters with a covariance."""
+    variance = np.einsum("i...,ij,j...->...", slopes, covariance, slopes, optimize=True)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def with_slopes(fit, measure):
@@ -293,12 +377,12 @@ def psf_shape(fit):
     values = _axes(moments)
     # Small steps, for the axes of a circle have no direction.
     steps = np.minimum(_STEP * np.sqrt(np.diag(covariance)) + 1e-12, _LARGEST_STEP * moments[0])
-    by = np.transpose([_axes(moments + step) - values for step in np.diag(steps)])
-    by[-1] = (by[-1] + 90) % 180 - 90
-    errors = np.sqrt(np.einsum("ai,ij,aj->a", by / steps, covariance, by / steps))
-    names = ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle")
-    units = ("pix", "pix", "pix", "", "deg")
-    table = Table({"name": names, "value": values, "error": errors, "unit": units})
+    by = np.array([_axes(moments + step) - values for step in np.diag(steps)])
+    by[:, -1] = (by[:, -1] + 90) % 180 - 90
+    table = Table({
+        "name": ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle"), "value": values,
+        "error": propagated(by / steps[:, None], covariance), "unit": ("pix",) * 3 + ("", "deg"),
+    })  # fmt: skip
     table["value"].info.format, table["error"].info.format = ".4g", ".2g"
     return table
 

@@ -13,8 +13,8 @@ from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._parameters import cadence_table, parameter_table
 from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
+from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
@@ -378,10 +378,9 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }  # fmt: skip
     covariance = psf * statistics["error_scale"] ** 2
-    parameters = parameter_table(
-        fit.model, problem.parameters, shares.state.shared, covariance, fit.at_bounds, statistics,
-        response=True,
-    )  # fmt: skip
+    kinds = {p.name: p.kind for p in problem.parameters}
+    given = shares.state.shared, covariance, fit.at_bounds, statistics
+    parameters = parameter_table(fit.model, kinds, *given)
     return fit.replace(
         **fields, parameters=parameters, covariance=covariance, statistics=statistics,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),

@@ -15,7 +15,7 @@ from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting import _parameters, _products
+from scope_models.fitting import _products
 from scope_models.fitting._doubts import doubts_of, followed
 from scope_models.fitting._problem import median_image
 from scope_models.models import PRF
@@ -35,33 +35,28 @@ _FACTS = (
 class TPFFit(Value):
     """A model of all pixels and cadences of a target pixel file.
 
-    `fit_tpf` makes it, `read` reads one that `write` has written. Arrays by cadence have the
-    shape ``(n,)``, images ``(ny, nx)`` and cubes ``(n, ny, nx)``.
-
-    The columns of ``cadences`` and the entries of ``statistics`` are attributes too: ``fit.flux``
-    is a read-only array, None if there is no such column, and ``fit.chi2`` a number.
+    `fit_tpf` makes it. The columns of ``cadences`` and the entries of ``statistics`` are attributes
+    too: ``fit.flux`` is a read-only array, None if there is no such column, ``fit.chi2`` a number.
 
     Parameters
     ----------
     model : PRF
         The fitted model at the median position and flux.
     parameters : astropy.table.Table
-        Parameters that all cadences share, the free ones first: name, value, error, unit, whether
-        they are fixed, kind as in `~scope_models.PRF.parameter_kinds`, and whether they ended at a
-        bound. There, and for coefficients of a sensitivity where the PSF is wrong, the error is
-        NaN.
+        Parameters that all cadences share, the free ones first: name, value, error, unit, fixed,
+        kind as in `~scope_models.PRF.parameter_kinds`, and at_bound. The error is NaN at a bound,
+        and for coefficients of a sensitivity where the PSF is wrong.
     covariance : ndarray of shape (s, s)
         Covariance of the free ones, with the uncertainty of all other parameters.
     cadences : astropy.table.Table
         A row per cadence: time in days, cadenceno and quality; x and y in pixels, flux and
         background in e-/s, with x_err, y_err, flux_err and background_err, which hold the
-        uncertainty of the shared parameters; flux_scatter, the error of the flux less the mean
-        flux, that of a light curve; focus, the relative width of the PSF, 1 where it was not
-        fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel the
-        errors of x, y and background are those between cadences: what all of these share, as the
-        place of the first one, is left open, since the responses take it up. Then also held_out,
-        cadences from which it has not learned, and outliers, which it does not describe: they are
-        not part of it, nor of chi-squared.
+        uncertainty of the shared parameters; flux_scatter, the error of a light curve, of the flux
+        less its mean; focus, the relative width of the PSF, 1 where it was not fitted; pos_corr, of
+        shape (n, 2), if the file has it. With a response of each pixel, which takes up what all
+        cadences share, the errors of x, y and background are those between cadences, and held_out
+        and outliers mark cadences from which it has not learned, and those that it does not
+        describe, which are not part of chi-squared.
     neighbors : tuple of FittedStar
         The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
@@ -70,9 +65,9 @@ class TPFFit(Value):
         The data, their errors and the model, e-/s; NaN where not used.
     statistics : mapping
         ``chi2``, of the pixels without priors; n_data, their number, and n_parameters;
-        error_scale, by which the errors of the pixels were scaled up, because the model is not
-        true; whether the iterations have converged, and n_steps; chi2_held_out, chi-squared per
-        degree of freedom of the held-out cadences, NaN without a response.
+        error_scale, by which errors were scaled up because the model is not true; converged and
+        n_steps; chi2_held_out, chi-squared per degree of freedom of the held-out cadences, NaN
+        without a response.
     time_format : str
         "bkjd" or "btjd".
     detector : Detector
@@ -120,15 +115,15 @@ class TPFFit(Value):
                 value.flags.writeable = False
 
     def __getattr__(self, name):
-        if name in _parameters.CADENCE_UNITS:
+        if name in _products.CADENCE_UNITS:
             table = self.cadences
             return np.asarray(table[name]) if name in table.colnames else None
-        if name in _parameters.STATISTICS:
+        if name in _products.STATISTICS:
             return self.statistics[name]
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __dir__(self):
-        return [*super().__dir__(), *_parameters.CADENCE_UNITS, *_parameters.STATISTICS]
+        return [*super().__dir__(), *_products.CADENCE_UNITS, *_products.STATISTICS]
 
     def __repr__(self):
         n, ny, nx = self.observed.shape
@@ -184,7 +179,7 @@ class TPFFit(Value):
     @property
     def dof(self):
         """Degrees of freedom: pixel values less parameters."""
-        return _parameters.degrees_of_freedom(self.statistics)
+        return _products.degrees_of_freedom(self.statistics)
 
     @cached_property
     def residual(self):
@@ -246,7 +241,7 @@ class TPFFit(Value):
         Returns
         -------
         tuple of float
-            Part of the variance of x and of y that the map explains; NaN without POS_CORR.
+            Explained parts of the variances of x and y; NaN without POS_CORR.
         """
         if self.pos_corr is None:
             return np.nan, np.nan
@@ -262,9 +257,8 @@ class TPFFit(Value):
         Returns
         -------
         tuple of float
-            Slope of x on POS_CORR1 alone, and of y on POS_CORR2 alone: where a star moves along a
-            line, as with the roll of K2, those of a fit of both have no meaning. NaN without
-            POS_CORR or motion.
+            Slopes of x on POS_CORR1 alone and y on POS_CORR2 alone: a fit of both has no meaning
+            where a star moves along a line, as with K2's roll. NaN without POS_CORR or motion.
         """
         if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
             return np.nan, np.nan
@@ -278,12 +272,11 @@ class TPFFit(Value):
         Returns
         -------
         `~astropy.table.Table`
-            Name, value, error and unit of the full widths at half maximum: "fwhm", of a circle of
-            the same area, "fwhm_major" and "fwhm_minor", in pixels; of the "ellipticity", 1 less
-            the ratio of the widths; and of the "angle" of the major axis from the columns to the
-            rows, in degrees. Those of the area above half of the largest density; with a response
-            of each pixel of the Gaussian that fits the typical shares, whose errors hold the
-            scatter of the pixels.
+            Name, value, error and unit of the full widths at half maximum "fwhm", of a circle of
+            the same area, "fwhm_major" and "fwhm_minor", pixels; of the "ellipticity", 1 less the
+            ratio of the widths; and of the "angle" from the columns to the major axis, degrees.
+            They are those of the area above half of the largest density; with a response of each
+            pixel, of a Gaussian fitted to the typical shares, with errors from their scatter.
         """
         return _products.psf_shape(self)
 
@@ -313,8 +306,8 @@ class TPFFit(Value):
         offset = np.linspace(-half, half, checked_integer("samples", samples, 1))
         grid = np.meshgrid(offset, offset)
         density, slopes = _products.with_slopes(self, lambda psf: np.asarray(psf(*grid)))
-        variance = np.einsum("iyx,ij,jyx->yx", slopes, self.covariance, slopes, optimize=True)
-        return offset, density / density.max(), np.sqrt(np.maximum(variance, 0.0)) / density.max()
+        error = _products.propagated(slopes, self.covariance)
+        return offset, density / density.max(), error / density.max()
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
@@ -323,8 +316,8 @@ class TPFFit(Value):
         -------
         lightkurve.LightCurve
             With the columns centroid_col, centroid_row, background, quality and cadenceno. The
-            errors are those between cadences: the shared parameters scale all fluxes alike. With
-            responses of pixels they hold the rms of the flux that follows the position, too.
+            errors are ``flux_scatter``; with a response of each pixel also the rms of the flux that
+            follows the position.
         """
         from lightkurve import LightCurve
 
@@ -345,8 +338,7 @@ class TPFFit(Value):
         ----------
         positions : {"fitted", "path"} or Motion, optional
             The fitted positions, with their noise, or those of the affine map of POS_CORR or of a
-            motion. With that of `~scope_models.Motion.from_tpfs` the twins of several stars are
-            the twin of their CCD.
+            motion.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
             their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes
@@ -355,16 +347,11 @@ class TPFFit(Value):
         Returns
         -------
         Scene
-            The stars, the pixels, the positions about their median and the focus, if it was
-            fitted. The pixels have the fitted sensitivity and response, and the read noise with
-            which faint pixels scatter as those of the file do from one cadence to the next. The
-            target's name and number, its place on the sky and that of the stamp on the detector
-            are those of the file.
-
-        Notes
-        -----
-        The fitted background is not in the scene: it is what the file left in the pixels. With a
-        response of each pixel, it is, and so are the shares of the pixels.
+            The stars, the positions about their median, a fitted focus, and pixels with the fitted
+            sensitivity and response, and the read noise with which faint pixels scatter as those
+            of the file do from one cadence to the next. Names and places are those of the file.
+            Only with a response of each pixel are its shares and the background that the file left
+            in the pixels part of the scene.
         """
         return _products.make_scene(self, positions, signal)
 
@@ -470,10 +457,9 @@ class TPFFit(Value):
 
 def make_results(solution, errors, detectors, series):
     problem, state, results = solution.problem, solution.state, []
-    s = problem.n_shared
-    fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
-    ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
-    at_bounds = [parameter.name for parameter, end in ended if end]
+    s, fitted = problem.n_shared, problem.model(state)
+    covariance, ended = errors.shared[:s, :s], problem.at_bounds(state)
+    at_bounds = [p.name for p, end in zip(problem.parameters, ended, strict=True) if end]
     for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
         given = problem, state, errors, number, fitted, problem.weight
         fields, columns, squares = fitted_fields(*given)
@@ -482,24 +468,25 @@ def make_results(solution, errors, detectors, series):
             interpixel[data.pixels] = 1 + state.interpixel[pixels]
             variance = np.diag(errors.shared)[s:][pixels]
             interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
-        model, n_data = fields["model"], int(np.isfinite(fields["observed"]).sum())
+        n_data = int(np.isfinite(squares).sum())
         statistics = {
             "chi2": float(np.nansum(squares)), "n_data": n_data,
             "n_parameters": round(problem.n_free * n_data / problem.n_data),
             "error_scale": problem.misfit, "converged": solution.converged and not at_bounds,
             "n_steps": solution.n_steps, "chi2_held_out": np.nan,
         }  # fmt: skip
-        table = _parameters.parameter_table(
-            model, problem.parameters, state.shared, covariance, at_bounds, statistics,
-            response=False,
-        )  # fmt: skip
-        cards = series[number].header
-        changes = {"sensitivity": model.sensitivity, "interpixel": np.maximum(interpixel, 0.0)}
+        model, cards = fields["model"], series[number].header
+        detector = detectors[number].replace(
+            sensitivity=model.sensitivity, interpixel=np.maximum(interpixel, 0.0)
+        )
+        kinds, values = {p.name: p.kind for p in problem.parameters}, state.shared
         results.append(TPFFit(
             **fields, covariance=covariance, interpixel=interpixel, interpixel_err=interpixel_err,
-            parameters=table, cadences=_parameters.cadence_table(columns), statistics=statistics,
+            parameters=_products.parameter_table(
+                model, kinds, values, covariance, at_bounds, statistics
+            ),
+            cadences=_products.cadence_table(columns), statistics=statistics, detector=detector,
             time_format=data.time_format, options=asdict(problem.options),
-            detector=detectors[number].replace(**changes),
             meta=plain_tree({k: cards[k] for k in _FACTS if cards.get(k) is not None}, str),
         ))  # fmt: skip
     return results
@@ -526,7 +513,7 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
         "focus": 1 + problem.focus(state),
     }
     fields = {"observed": observed, "observed_err": data.flux_err, "fitted": modeled}
-    fields["neighbors"] = tuple(_parameters.FittedStar(**values) for values in others)
+    fields["neighbors"] = tuple(_products.FittedStar(**values) for values in others)
     return fields | {"model": model}, columns, ((observed - modeled) / data.flux_err) ** 2
 
 
