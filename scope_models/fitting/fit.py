@@ -1,7 +1,6 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
 import warnings
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial, reduce
 from itertools import chain
@@ -30,16 +29,13 @@ _PRIOR = 0.01
 _FEW_STEPS, _MANY_STEPS = 20, 60
 # Standard deviations by which chi-squared may exceed a true model's.
 _EXCESS = 5.0
-# Standard deviations of the positions about POS_CORR, as a part of the motion's, and of the scale
-# of the motion, where the PSF is wrong.
+# Standard deviations of positions, in parts of POS_CORR's, and of scale, where the PSF is wrong.
 _POSITION_PART, _HELD = 0.1, 0.001
 # Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
-# Seconds after which a fit shows its progress, and how often errors are scaled, at most, where the
-# model is not true.
+# Seconds until a fit shows its progress; how often errors are scaled at most.
 _PATIENCE, _RESCALINGS = 5.0, 8
-# So many images of stars and values of pixels at most, and cadences at least, give the first guess
-# for those of a long series.
+# Images of stars and values of pixels at most, and cadences at least, of a first guess.
 _FEW, _FEW_VALUES, _FEWEST = 300, 30_000, 50
 # Cadences from which the response of each pixel is fitted where no PSF describes the pixels.
 _ENOUGH = 100
@@ -54,49 +50,44 @@ def fit_tpf(
     .. math:: f_{t,p} = b_p F_t \int_p P(x - x_t, y - y_t)\, s(u, v)\, dx\, dy + B_t
 
     with the shape of the PSF P, the sensitivity s and the response b of each pixel shared by all
-    cadences, and position, flux and background for each of them. Levenberg-Marquardt steps with
-    analytic derivatives; the parameters of the cadences are eliminated from each step, so that
-    time and memory are linear in cadences.
+    cadences, and position, flux F and background B for each of them.
 
     Parameters
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
-        The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
-        cadences with bad quality flags are left out as lightkurve does. Several files of one CCD
-        are fitted at once: with one PSF and sensitivity, and one motion up to a linear map that is
-        fitted with a prior of 0.3 about 1, in the cadences that all have.
+        The pixels, less the background of FLUX_BKG: the object, or a file, whose cadences with bad
+        quality flags are left out as lightkurve does. Several files of one CCD are fitted in the
+        cadences that all have, with one PSF, sensitivity and motion, up to a linear map with a
+        prior of 0.3 about 1.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
         ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the pixels;
-        else what describes them better without a parameter at a bound, one or two components, or
-        one with an empirical term of order 6, with positions near POS_CORR.
+        else the better one, without a parameter at a bound, of these and one component with an
+        empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
-        Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
-        constants are always fixed, because they are the flux. None: the response is 1; if ``psf``
-        is None too, and the model describes the pixels only with a response within them, which
-        the motion measures to 1.25 % at a pixel's edge, it is a polynomial of second order.
+        Response within a pixel: starting values, and by its ``fixed`` what is fitted; constants
+        are always fixed. None: 1; or, if ``psf`` is None too, a polynomial of second order where
+        only that describes the pixels, and the motion measures it to 1.25 % at a pixel's edge.
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
         the local maxima of the median image above a twentieth of the brightest pixel and ten
-        errors, the brightest first after the target: fainter stars are given. By default one
-        star, the target: the maximum in the pipeline's aperture, of several one at the file's
-        coordinates. For several files, a sequence of them.
+        errors, the brightest first after the target. By default the target alone: the maximum in
+        the pipeline's aperture, of several one at the file's coordinates. For several files, a
+        sequence of them.
     neighbors : as ``stars``, optional
-        Positions of the other stars only, of which none is the target, even where one is brighter;
-        the target among places on the sky is left out. "find": the maxima more than 1.5 px from
-        the target.
+        Positions of the other stars only, even brighter ones; the target among places on the sky
+        is left out. "find": the maxima more than 1.5 px from the target.
     empirical : int, optional
-        Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
-        Its width and its part of the flux are fixed, its coefficients have a prior of standard
-        deviation 10. For another width, give the term as a part of ``psf``. For a table of a PRF,
-        the order of the smooth factor of a `~scope_models.models.CorrectedPRF`, whose coefficients
-        have a prior of standard deviation 0.1.
+        Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF, with fixed width
+        and part of the flux, and a prior of standard deviation 10 of its coefficients; 0 for none.
+        For another width, give the term as a part of ``psf``. For a table of a PRF, the order of
+        the smooth factor of a `~scope_models.models.CorrectedPRF`, with a prior of 0.1.
     interpixel : float, optional
         Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
-        None: 0.01 if the model then describes the pixels with a response that agrees with it, as
-        in simulations; else 0, because b would describe errors of the PSF.
+        None: 0.01 if the model then describes the pixels with a response that agrees with it; else
+        0, because b would describe errors of the PSF.
     positions : {"start", "free", "prior", "path"} or Motion, optional
         What POS_CORR is used for, through an affine map: the first guess of free positions,
         nothing, a prior, or the positions themselves. The map is fitted too for the last two,
@@ -104,9 +95,10 @@ def fit_tpf(
         it, is a prior in place of POS_CORR, with its errors or else ``position_error``.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
-        of a star's light is that plus a polynomial of fitted position and slow time: see the
-        Notes. "auto": "pixels" for 100 cadences and more that no PSF describes, as in real
-        files, if PSF, sensitivity, b and focus are left to the data; else "psf".
+        of a star's light is that plus a polynomial of fitted position and slow time; b is 1, the
+        loss that of least squares, and ``sensitivity``, ``focus`` and ``interpixel`` must be left
+        out. "auto": "pixels" for 100 cadences and more that no PSF describes, if PSF, sensitivity,
+        b and focus are left to the data; else "psf".
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     options : FitOptions, optional
@@ -130,26 +122,18 @@ def fit_tpf(
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the motion does not
         constrain the sensitivity, a response within pixels that is not in the model would lower
-        chi-squared by more than 25, or the model does not describe the pixels, so that
-        ``error_scale`` is above 1.
+        chi-squared by more than 25, or the model does not describe the pixels.
 
     Notes
     -----
-    Conventions fix what the pixels do not constrain. The constants of the sensitivity are 1.
-    The mean of b, weighted by the median image, is 1: the common response of the pixels is part
-    of the flux. x and y are the position of the first component. Pixel values that are not
-    finite, and cadences with too few of them, are left out.
+    The constants of the sensitivity are 1, and so is the mean of b, weighted by the median image.
+    Pixel values that are not finite, and cadences with too few of them, are left out.
 
-    Where the model is not true, and the typical squared residual of all pixels, or of those with
-    light, from medians, is above 1.5 squared errors, all errors are scaled up by the root of the
-    larger one, the attribute ``error_scale``, so that priors keep their weight and the errors of
-    the parameters grow. With ``FitOptions(loss="soft_l1")`` the errors of the fit itself follow all
-    pixels alike, and only the errors of the result follow ``error_scale``. Chi-squared is always
-    that of the given errors. The coefficients of a sensitivity then describe errors of the PSF.
-
-    With ``response="pixels"``, b is 1, and degree and priors of the polynomials follow from the
-    data. Every tenth cadence is held out, outliers are left out, and the loss is that of least
-    squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
+    Where the typical squared residual of all pixels, or of those with light, from medians, is above
+    1.5 squared errors, the larger one's root, ``error_scale``, scales up all errors, so that priors
+    keep their weight and the errors of the parameters grow. With ``FitOptions(loss="soft_l1")`` all
+    pixels alike scale the errors of the fit, and ``error_scale`` only those of the result.
+    Chi-squared is always that of the given errors.
 
     Examples
     --------
@@ -190,11 +174,12 @@ def fit_tpf(
     choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
         problem, detectors = _make_problem(series, places, prf, flux_err, options, motion)
-        steps = partial(solve, report=bar)
+        report = partial(_report, bar)
+        steps = partial(solve, report=report)
         response, tried, solution = _fit_psf(problem, response, sensitivity, steps, **choice)
         fits = make_results(solution, covariances(solution), detectors, series)
         if response == "pixels":
-            fits = fit_response(problem, solution, fits, bar)
+            fits = fit_response(problem, solution, fits, report)
     with one_thread:
         models = _of_models(response, tried, solution, fits[0])
         for doubt in chain(models, *map(_doubts.doubts_of, fits)):
@@ -422,22 +407,22 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
-        given = {"saturation": options.saturation, "moved": moved, "n_free": n_free + len(others)}
-        stamps.append(_start.read_data(item, flux_err, detectors[-1], **given))
+        full = detectors[-1].full_flux if options.saturation else np.inf
+        stamps.append(_start.read_data(item, flux_err, full, moved, n_free + len(others)))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])
     if not common.size:
         raise ValueError("the files have no cadence in common")
-    if len(stamps) > 1:
-        stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
+    stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     found = [_start.located(stamp, *item) for stamp, item in zip(stamps, places, strict=True)]
     stars, (target, first, _) = [], found[0]
     for number, (stamp, (_, center, others)) in enumerate(zip(stamps, found, strict=True)):
         stars.append(FitStar(*(center - first), number))
         for other in others:
-            weak = options.neighbor_flux == "auto" and _start.is_faint(stamp, center, other)
-            constant = options.neighbor_flux == "constant" or weak
+            constant = options.neighbor_flux == "constant"
+            if options.neighbor_flux == "auto":
+                constant = _start.is_faint(stamp, center, other)
             stars.append(FitStar(*(other - first), number, constant))
     span = stamps[0].time[[0, -1]].tolist()
     if options.focus is not None and len(common) * options.focus < span[1] - span[0]:
@@ -446,17 +431,14 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     return Problem(*given), detectors
 
 
-@contextmanager
 def _progress_bar(progress):
-    """What is called with each step's chi-squared."""
     from tqdm import tqdm
 
-    hidden = None if progress is None else not progress  # None: hidden where no terminal is
-    delay = _PATIENCE if progress is None else 0.0
-    with tqdm(desc="fit_tpf", unit=" steps", disable=hidden, delay=delay) as bar:
+    # None hides the bar where no terminal is.
+    shown = {"disable": None, "delay": _PATIENCE} if progress is None else {"disable": not progress}
+    return tqdm(desc="fit_tpf", unit=" steps", **shown)
 
-        def report(cost):
-            bar.set_postfix_str(f"cost {cost:.6g}", refresh=False)
-            bar.update()
 
-        yield report
+def _report(bar, cost):
+    bar.set_postfix_str(f"cost {cost:.6g}", refresh=False)
+    bar.update()
