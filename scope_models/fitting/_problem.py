@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -20,26 +19,25 @@ __all__ = [
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
-# Mean squared residual from which the errors are scaled, change of scale that is none, and standard
+# Mean squared residual from which errors are scaled, change of scale that is none, and standard
 # deviations of the light-weighted mean that are chance.
 UNTRUE, _SAME, _CHANCE = 1.5, 0.02, 3.0
 # Median of the square of a standard normal deviate.
 MEDIAN_SQUARE = 0.4549364
-# Standard deviations before the fit: of the relative change of the PSF's width, of the scale of the
-# motion about that of POS_CORR, and of the motion in a file about that in the first one, relative.
+# Relative standard deviations before the fit: of the PSF's width, and of the motion about that of
+# POS_CORR and of the first file.
 _FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
-# Standard deviation of positions about POS_CORR that are nothing but its map, pixels: a tenth of
-# the photon noise of a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
+# Standard deviation of positions that are a map of POS_CORR, pixels: a tenth of the photon noise of
+# a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest step of a position, and of parameters of a PSF, and how far another star may be from its
-# first guess, pixels.
+# Largest steps of positions and of shapes, and of a star from its first guess in all, pixels.
 LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
-# Narrower PSFs are the same to a pixel. Tighter correlations only cost time; charge that diffuses
-# farther is not collected in pixels.
+# Narrower PSFs are the same to a pixel, tighter correlations only cost time, and charge that
+# diffuses farther is not collected in pixels.
 _LEAST_WIDTH = 0.1
 _LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
-# Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
-# correction of a table.
+# Standard deviations of coefficients of an empirical term, whose first one is 1, and of a table's
+# correction.
 _PRIORS = {"coefficient": 10.0, "correction": 0.1}
 
 
@@ -53,9 +51,8 @@ class FitOptions(Value):
         Background left in the pixels.
     focus : float or `~astropy.units.Quantity`, optional
         Shortest time, days, in which the width of the PSF changes: all distances from the star
-        scale with a cubic spline of time, of mean 1 and with a prior of 5 %, to first order in
-        the change, so that widths err by about its variance (1e-4 if it is 1 %).
-        None: the width is constant.
+        scale with a cubic spline of time, of mean 1 and with a prior of 5 %, to first order, so
+        that widths err by about the variance of the change. None: the width is constant.
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
         for data with cosmic rays.
@@ -103,7 +100,7 @@ class FitOptions(Value):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Settings(FitOptions):
-    """All options of a fit, as `~scope_models.fit_tpf` describes them."""
+    """All options of a fit."""
 
     empirical: int = integer(0, 0)
     interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
@@ -135,8 +132,8 @@ class FitParameter:
 def fit_parameters(prf, shape):
     """Return the free shared parameters of a PRF on an image, without flux and position.
 
-    Bounds are the model's, narrowed by their kinds: a component wider than half the stamp is
-    background, and no term of a response takes away all of it at a pixel's edge, or doubles it.
+    Kinds narrow bounds: a component wider than half the stamp is background, and no term of a
+    response takes away all of it at a pixel's edge, or doubles it.
     """
     numbers, result = numbers_of(prf), []
     for name in prf.param_names[3:]:
@@ -164,22 +161,20 @@ def fit_parameters(prf, shape):
 class FitStar:
     """A star of a fit: its first guess in pixels of its stamp, less that of the first star."""
 
-    x: float = 0.0
-    y: float = 0.0
-    stamp: int = 0  # which file it is in
+    x: float
+    y: float
+    stamp: int  # which file it is in
     constant: bool = False  # whether its flux is the same in all cadences
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Values of all free parameters."""
-
     shared: np.ndarray  # (s,): what `Problem.parameters` lists
     interpixel: np.ndarray  # (p,): response of each fitted pixel less 1
     cadence: np.ndarray  # (n, k): what `Problem.columns` names
 
     def column(self, number):
-        """Values of a column, ``(n,)``: those of the cadences come first, then the shared ones."""
+        """Values by cadence, ``(n,)``, of a number of `Problem.numbers`."""
         n, k = self.cadence.shape
         return self.cadence[:, number] if number < k else np.full(n, self.shared[number - k])
 
@@ -198,8 +193,6 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and model of a fit."""
-
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
     options: Settings
@@ -212,16 +205,15 @@ class Problem:
 
     @property
     def data(self):
-        """The pixels of the first file."""
         return self.stamps[0]
 
     def _joined(self, name):
-        """The fitted pixels of all files, shape ``(n, p)``; NaN where there are no data."""
+        """The fitted pixels of all files, ``(n, p)``; NaN where there are no data."""
         return np.concatenate([getattr(s, name)[:, s.pixels] for s in self.stamps], axis=1)
 
     @cached_property
     def flux(self):
-        """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
+        """Fluxes of the fitted pixels, ``(n, p)``, 0 where there are none."""
         return np.nan_to_num(self._joined("flux"))
 
     @cached_property
@@ -230,12 +222,12 @@ class Problem:
 
     @cached_property
     def weight(self):
-        """Inverse errors of the fitted pixels, shape ``(n, p)``, 0 where there are no data."""
+        """Inverse errors, ``(n, p)``, 0 where there are no data."""
         return self._given_weight / self.error_scale
 
     @cached_property
     def slices(self):
-        """Which of the fitted pixels belong to each file."""
+        """Fitted pixels of each file."""
         ends = [0, *np.cumsum([s.pixels.sum() for s in self.stamps]).tolist()]
         return [slice(start, end) for start, end in pairwise(ends)]
 
@@ -254,13 +246,13 @@ class Problem:
 
     @cached_property
     def basis(self):
-        """What the path is linear in, shape ``(n, 3)``."""
+        """What the path is linear in, ``(n, 3)``."""
         offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
         return np.column_stack([np.ones(len(offsets)), offsets])
 
     @cached_property
     def focus_basis(self):
-        """Cubic splines of time that add up to the relative width, shape ``(n, k)``."""
+        """Cubic splines of time that add up to the relative width, ``(n, k)``."""
         if self.options.focus is None:
             return np.zeros((len(self.flux), 0))
         first, last = self.span
@@ -275,12 +267,12 @@ class Problem:
         return block_diag(np.eye(self.n_shared - n), null_space(mean[None]) if n else np.eye(0))
 
     def focus(self, state):
-        """Relative width of the PSF less 1, shape ``(n,)``."""
+        """Relative width of the PSF less 1, ``(n,)``."""
         return self.focus_basis @ state.shared[self.n_shared - self.focus_basis.shape[1] :]
 
     @property
     def position_error(self):
-        """Error of the map of POS_CORR, pixels: a number, by cadence and axis, or None."""
+        """Error of positions by POS_CORR, pixels: a number, by cadence and axis, or None."""
         if self.data.pos_err is not None:
             return np.maximum(self.data.pos_err, _PATH_ERROR)
         errors = {"path": _PATH_ERROR, "prior": self.options.position_error}
@@ -288,17 +280,17 @@ class Problem:
 
     @property
     def n_pixels(self):
-        """Number of pixels with a response of their own."""
+        """Number of pixels with a response b."""
         return self.slices[-1].stop if self.options.interpixel else 0
 
     @cached_property
     def _of_shape(self):
-        """The free parameters of the PRF, which come first."""
+        """Free parameters of the PRF, which come first."""
         return fit_parameters(self.prf, np.max([s.shape for s in self.stamps], axis=0))
 
     @property
     def affine(self):
-        """Which of the shared parameters are the path, if it has any: a slice."""
+        """Shared parameters of the path, if it has any."""
         return slice(len(self._of_shape), len(self._of_shape) + 6)
 
     @cached_property
@@ -337,23 +329,20 @@ class Problem:
         return ("x", "y", *fluxes, *map(_background_of, range(number)))
 
     @cached_property
-    def index(self):
-        """Columns of fluxes and backgrounds; slices of the places of stars and motions of files."""
-        names, k = (*self.columns, *(p.name for p in self.parameters)), len(self.columns)
-        number = {name: i for i, name in enumerate(names)}
-        stars, files = range(len(self.stars)), range(len(self.stamps))
-        places = [number.get(f"x_star_{i}", 0) - k for i in stars]
-        maps = [number.get(f"x_by_x_{i}", 0) - k for i in files]
-        backgrounds = (number.get(_background_of(i)) for i in files)
-        return SimpleNamespace(
-            fluxes=[number[_flux_of(i)] for i in stars],
-            backgrounds=[c for c in backgrounds if c is not None],
-            places=[slice(i, i + 2) for i in places], maps=[slice(i, i + 4) for i in maps],
-        )  # fmt: skip
+    def numbers(self):
+        """Numbers of the parameters by name: those of a cadence come first, then shared ones."""
+        names = (*self.columns, *(p.name for p in self.parameters))
+        return {name: i for i, name in enumerate(names)}
+
+    def flux_number(self, star):
+        return self.numbers[_flux_of(star)]
+
+    def background_number(self, stamp):
+        """Number of a file's background, None without one."""
+        return self.numbers.get(_background_of(stamp))
 
     @cached_property
     def bounds(self):
-        """Bounds of the shared parameters, ``(2, s)``."""
         return np.array([(p.lower, p.upper) for p in self.parameters]).reshape(-1, 2).T
 
     def at_bounds(self, state):
@@ -367,7 +356,7 @@ class Problem:
 
     @cached_property
     def _light_parts(self):
-        """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
+        """Parts of the light in the fitted pixels, of sum 1, ``(p,)``."""
         light = np.maximum(median_image(self._joined("flux")), 0.0)
         light = light if light.any() else np.ones(len(light))
         return light / light.sum()
@@ -400,43 +389,47 @@ class Problem:
         return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
 
     def _map(self, state, stamp):
-        """How a file moves with the first one, shape ``(2, 2)``."""
-        return state.shared[self.index.maps[stamp]].reshape(2, 2) if stamp else np.eye(2)
+        """How a file moves with the first one, ``(2, 2)``."""
+        if not stamp:
+            return np.eye(2)
+        first = self.numbers[f"x_by_x_{stamp}"] - len(self.columns)
+        return state.shared[first : first + 4].reshape(2, 2)
 
     def xy(self, state, star=0):
-        """Positions of a star in its stamp, shape ``(n, 2)``."""
+        """Positions of a star in its stamp, ``(n, 2)``."""
         if star == 0:
             return state.cadence[:, :2]
         moved = (state.cadence[:, :2] - self.center) @ self._map(state, self.stars[star].stamp).T
-        return moved + self.center + state.shared[self.index.places[star]]
+        first = self.numbers[f"x_star_{star}"] - len(self.columns)
+        return moved + self.center + state.shared[first : first + 2]
 
     def position_terms(self, state, star):
-        """Yield what moves a star: ``(axis, column, derivative)``, the last of shape ``(n,)``."""
-        stamp, one, k = self.stars[star].stamp, np.ones(len(self.flux)), len(self.columns)
+        """Yield what moves a star: axis, number of a parameter, and derivative, ``(n,)``."""
+        stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
         moved = self.xy(state) - self.center
-        for axis, slopes in enumerate(self._map(state, stamp)):
+        for axis, (name, slopes) in enumerate(zip("xy", self._map(state, stamp), strict=True)):
             for of in (0, 1):
                 if slopes[of]:
                     yield axis, of, slopes[of] * one
                 if stamp:
-                    yield axis, k + self.index.maps[stamp].start + 2 * axis + of, moved[:, of]
+                    yield axis, self.numbers[f"{name}_by_{'xy'[of]}_{stamp}"], moved[:, of]
             if star:
-                yield axis, k + self.index.places[star].start + axis, one
+                yield axis, self.numbers[f"{name}_star_{star}"], one
 
     def fluxes(self, state, star=0):
-        """Fluxes of a star, shape ``(n,)``."""
-        return state.column(self.index.fluxes[star])
+        """Fluxes of a star, ``(n,)``."""
+        return state.column(self.flux_number(star))
 
     def backgrounds(self, state, stamp=0):
-        """Backgrounds of a file, shape ``(n,)``."""
-        columns = self.index.backgrounds
-        return state.column(columns[stamp]) if columns else np.zeros(len(state.cadence))
+        """Backgrounds of a file, ``(n,)``."""
+        number = self.background_number(stamp)
+        return np.zeros(len(state.cadence)) if number is None else state.column(number)
 
     def chunks(self):
         return [slice(i, i + _CHUNK) for i in range(0, len(self.flux), _CHUNK)]
 
     def unit_images(self, state, part, star=0, *, derivatives=False):
-        """Unit images at a star's pixels, ``(m, p)``; and derivatives by place, shape and focus."""
+        """Unit images of a star, ``(m, p)``, and derivatives by place, shape and focus."""
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
         widens = self.options.focus is not None
@@ -453,7 +446,7 @@ class Problem:
         return (image, [by[name][:, stamp.pixels] for name in needed]) if derivatives else image
 
     def model(self, state):
-        """Model of the fitted pixels, shape ``(n, p)``."""
+        """Model of the fitted pixels, ``(n, p)``."""
         model = np.zeros(self.flux.shape)
         for part in self.chunks():
             for k, star in enumerate(self.stars):
@@ -513,7 +506,7 @@ class Problem:
         return NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
 
     def _linearize(self, state, part):
-        """Residuals ``(m, p)``, their derivatives by all columns, and the light of the stars."""
+        """Residuals ``(m, p)``, derivatives of the model by all parameters, light of the stars."""
         residual, k = self.flux[part].copy(), len(self.columns)
         design = np.zeros((k + self.n_shared, *residual.shape))
         light = np.zeros_like(residual)
@@ -531,15 +524,16 @@ class Problem:
                 by[i] += derivative[part, None] * slopes[axis]
             for i, spline in enumerate(self.focus_basis[part].T[::-1], start=1):
                 by[-i] += slopes[-1] * spline[:, None]
-            by[self.index.fluxes[j]] = response[pixels] * image
+            by[self.flux_number(j)] = response[pixels] * image
         residual -= response * light
-        for pixels, column in zip(self.slices, self.index.backgrounds, strict=False):
-            residual[:, pixels] -= state.column(column)[part, None]
-            design[column, :, pixels] = 1.0
+        for i, pixels in enumerate(self.slices):
+            residual[:, pixels] -= self.backgrounds(state, i)[part, None]
+            if (number := self.background_number(i)) is not None:
+                design[number, :, pixels] = 1.0
         return residual, design, light
 
     def _add_priors(self, state, shared, gradient):
-        """Add the priors of the shared parameters to an expansion; return their cost."""
+        """Add priors of the shared parameters to an expansion; return their cost."""
         s, p = self.n_shared, self.n_pixels
         precision = np.array([q.prior**-2 for q in self.parameters])
         deviation = state.shared - np.array([q.center for q in self.parameters])
@@ -558,9 +552,9 @@ class Problem:
 
 def median_image(cube):
     """Return the median of finite values over the first axis; 0 where there are none."""
-    seen = np.isfinite(cube).any(axis=0)
-    image = np.zeros(cube.shape[1:])
-    image[seen] = np.nanmedian(np.where(np.isfinite(cube), cube, np.nan)[:, seen], axis=0)
+    finite = np.isfinite(cube)
+    seen, image = finite.any(axis=0), np.zeros(cube.shape[1:])
+    image[seen] = np.nanmedian(np.where(finite, cube, np.nan)[:, seen], axis=0)
     return image
 
 

@@ -150,7 +150,7 @@ class _Shares:
         design = np.zeros((*residual.shape, k if slopes else 0))
         basis = self.basis()[: 3 if slopes else 1]
         for number, (image, psf) in enumerate(zip(self.images, self.psf(), strict=True)):
-            column, flux = problem.index.fluxes[number], problem.fluxes(state, number)[:, None]
+            column, flux = problem.flux_number(number), problem.fluxes(state, number)[:, None]
             value, *by = (p + b @ image.values for p, b in zip(psf, basis, strict=False))
             residual[:, image.pixels] -= flux * value
             for axis, slope in enumerate(by):
@@ -160,7 +160,7 @@ class _Shares:
         for number, pixels in enumerate(problem.slices):
             residual[:, pixels] -= problem.backgrounds(state, number)[:, None]
             if slopes and problem.options.background == "cadence":
-                design[:, pixels, problem.index.backgrounds[number]] = 1.0
+                design[:, pixels, problem.background_number(number)] = 1.0
         return (residual, design) if slopes else residual
 
     def pixels(self):

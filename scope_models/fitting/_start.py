@@ -353,14 +353,15 @@ def is_faint(data, target, other):
 def linear_start(problem, state):
     """Fit fluxes and backgrounds, in which the model is linear, with the rest of a state."""
     shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
-    each = problem.options.background == "cadence"
-    columns = problem.index.fluxes + problem.index.backgrounds * each
+    files = problem.slices if problem.options.background == "cadence" else ()
+    columns = [*map(problem.flux_number, range(len(problem.stars)))]
+    columns += map(problem.background_number, range(len(files)))
     values = np.zeros((len(problem.flux), len(columns)))
     for part in problem.chunks():
         design = np.zeros((*problem.flux[part].shape, len(columns)))
         for i, star in enumerate(problem.stars):
             design[:, problem.slices[star.stamp], i] = problem.unit_images(state, part, i)
-        for i, pixels in enumerate(problem.slices if each else (), start=len(problem.stars)):
+        for i, pixels in enumerate(files, start=len(problem.stars)):
             design[:, pixels, i] = 1.0
         weight = problem.weight[part]
         design = (design * weight[..., None]).transpose(0, 2, 1)

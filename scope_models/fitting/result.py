@@ -504,12 +504,12 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
     middle = {n: float(np.median(own[n.removesuffix("_0")])) for n in ("x_0", "y_0", "flux")}
     for name, value in (problem.values(state) | middle).items():
         setattr(model, name, value)
-    column, background = problem.index.fluxes[stars[0]], problem.index.backgrounds
+    column, background = problem.flux_number(stars[0]), problem.background_number(number)
     columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
     columns |= own | {
         "flux_scatter": np.sqrt(np.maximum(errors.relative[:, column, column], 0.0)),
         "background": problem.backgrounds(state, number),
-        "background_err": _deviation(errors, background[number]) if background else 0 * data.time,
+        "background_err": 0 * data.time if background is None else _deviation(errors, background),
         "focus": 1 + problem.focus(state),
     }
     fields = {"observed": observed, "observed_err": data.flux_err, "fitted": modeled}
@@ -529,7 +529,7 @@ def _of_star(problem, state, errors, star):
     variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
     (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
     x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
-    flux_err = np.hypot(_deviation(errors, problem.index.fluxes[star]), flux * errors.common[star])
+    flux_err = np.hypot(_deviation(errors, problem.flux_number(star)), flux * errors.common[star])
     return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
 
 
