@@ -8,30 +8,28 @@ from scope_models.fitting._start import APART, find_stars
 
 __all__ = ["CERTAIN", "LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed", "is_measured"]
 
-# The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
-# whose error there is larger has not been measured.
+# Error of a sensitivity at a pixel's edge from which it is not measured: the paper's is lower by
+# this there than in the center.
 _LARGEST_EDGE_ERROR = 0.0125
-# Scatter of the response between pixels in standard deviations of its prior, and of fluxes in their
-# errors, that is not what it is named.
+# Scatter, in standard deviations of its prior or its error, that has another cause.
 LARGEST_SCATTER = 3.0
-# Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
-# checked.
+# Fitted motion over that of POS_CORR that is not in doubt; least motion, pixels.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
-# Flux over the light in the pixels from which a model has invented it.
+# Flux, in parts of the light in the pixels, that a model has invented.
 LARGEST_FLUX = 2.0
-# Errors beyond which a flux is negative, or is light, and probability of what is not by chance.
+# Errors beyond which a flux is negative, or light; probability of what is not by chance.
 CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.
 _FEWEST = 20
 
 
 def doubts_of(fit):
-    """Return what is doubtful about a fit, a message for each doubt."""
+    """Return a message for each doubt about a fit."""
     return [*_of_parameters(fit), *_of_pixels(fit), *_of_positions(fit), *_of_flux(fit)]
 
 
 def is_measured(power, error):
-    """Whether a coefficient of a sensitivity, of an axis and power, has an error so small."""
+    """Whether the error of a coefficient, of an axis and power, is small enough."""
     return error * 0.5 ** power[1] < _LARGEST_EDGE_ERROR
 
 
@@ -98,7 +96,7 @@ def _of_pixels(fit):
 
 
 def _light(fit):
-    """Light in the pixels of each cadence, e-/s."""
+    """Light in the pixels by cadence, e-/s."""
     return np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
 
 
@@ -157,9 +155,9 @@ def _of_flux(fit):
 
 
 def followed(fit):
-    """Return the rms of the flux that a quadratic form of the position explains, 0 if by chance.
+    """Return the rms of fast flux that a quadratic form of the position explains, 0 if by chance.
 
-    Slow changes do not count; spans of the smoothing are taken as independent.
+    Spans of the smoothing count as independent.
     """
     good = _described(fit)
     if good.sum() < _FEWEST:

@@ -44,23 +44,23 @@ CADENCE_UNITS = {
 STATISTICS = (
     *("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "chi2_held_out"),
 )
-# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
-# describe errors of the PSF long before these are seen in chi-squared.
+# Reduced chi-squared above which a sensitivity is not measured: it describes errors of the PSF long
+# before chi-squared shows them.
 _TRUE_CHI2 = 1.1
 _CREATOR, _VERSION = "scope_models fit", 2
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 SMOOTHING_DAYS = 0.5
-# Pixels fainter than this part of the brightest one give the noise without light.
+# Pixels below this part of the brightest one have the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
-# Bands of frequency in which power is compared with that of the noise.
+# Bands of frequency in which power is compared with the noise.
 _BANDS = 40
-# Step of a derivative in errors of the parameter, and at most.
+# Step of a derivative, in errors of the parameter, and at most.
 _STEP, _LARGEST_STEP = 0.05, 1e-3
-# Pixels from the center to which the contour may reach; directions and radii in which it is sought.
+# Reach of a contour from the center, pixels; directions and radii in which it is sought.
 _REACH, _DIRECTIONS, _RADII = 8.0, 90, 801
-# Part of all light that any pixel may hold besides the image of a Gaussian.
+# Part of all light that any pixel may hold beside a Gaussian.
 _EVERYWHERE = 0.003
 
 
@@ -97,7 +97,7 @@ class FittedStar(Value):
 
 
 def parameter_table(model, free, values, covariance, at_bounds, statistics):
-    """The shared parameters, of which ``free`` has the kinds, as `TPFFit.parameters` has them."""
+    """`TPFFit.parameters`; ``free`` are kinds by name, with values and their covariance."""
     unknown, reduced = set(at_bounds), statistics["chi2"] / degrees_of_freedom(statistics)
     has_response = np.isfinite(statistics["chi2_held_out"])
     if has_response or statistics["error_scale"] > 1 or reduced > _TRUE_CHI2:
@@ -123,7 +123,7 @@ def degrees_of_freedom(statistics):
 
 
 def cadence_table(columns):
-    """Values by cadence, those that are not None, with the units of `TPFFit.cadences`."""
+    """`TPFFit.cadences`, from columns by name; None are left out."""
     names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
     units = {name: CADENCE_UNITS[name] or None for name in names}
     return Table({name: columns[name] for name in names}, units=units)
@@ -156,7 +156,7 @@ def write_fit(fit, path, *, overwrite):
 
 
 def read_fit(path):
-    """Return the fields of a fit that `write_fit` has written."""
+    """Return the fields of a fit in a file."""
     with open_fits(path) as hdus:
         header = hdus[0].header
         if header.get("CREATOR") != _CREATOR:
@@ -199,7 +199,7 @@ def _fields_of(hdus):
 
 
 def _description(fit):
-    """Values that are neither an array by cadence nor an image."""
+    """Values of a fit that JSON holds."""
     model, options = fit.model, dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
@@ -263,7 +263,7 @@ def make_scene(fit, positions, signal):
 
 
 def _identity(cards, mission):
-    """Return the fields of a scene that identify the target, of the cards that the file had."""
+    """Return the fields of a scene that identify the target, from cards of the file."""
     names = {"object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
     names |= {"column": "1CRV5P", "row": "2CRV5P"}
     names["target_id"] = "KEPLERID" if "KEPLERID" in cards else "TICID"
@@ -286,7 +286,7 @@ def _signal(fit, kind):
     if kind == "smooth" and fit.response:
         relative = denoised(fit, fit.flux, fit.flux_scatter) / typical
     elif kind == "smooth":
-        # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
+        # Unlike fitted fluxes, sums of pixels do not depend on errors of the PSF.
         cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
         light, expected = (np.nansum(cube, axis=(1, 2)) for cube in cubes)
         ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
@@ -304,7 +304,7 @@ def smoothed(time, values):
 
 
 def denoised(fit, values, error):
-    """Values ``(n,)`` with their variations scaled down to the power that errors do not explain."""
+    """Values ``(n,)`` with the power of their variations that errors do not explain."""
     slow, out = smoothed(fit.time, values), fit.outliers
     fast = np.where(out, 0.0, values - slow)
     spectrum = np.fft.rfft(fast)
@@ -316,7 +316,7 @@ def denoised(fit, values, error):
 
 
 def _read_noise(fit):
-    """Noise per read with which the faint pixels of a simulation scatter as those of the file."""
+    """Noise per read with which faint pixels scatter as those of the file."""
     detector = fit.detector
     if len(fit.time) < _FEWEST_CADENCES:
         return detector.read_noise
@@ -331,7 +331,7 @@ def _read_noise(fit):
 
 
 def sensitivity_profiles(fit):
-    """Offsets and, by axis, fitted sensitivity and error, NaN at a bound; None without one."""
+    """Offsets and, by axis, fitted sensitivity and error, NaN at a bound; or None."""
     model = fit.sensitivity
     if not isinstance(model, SensitivityPolynomial):
         return None
@@ -354,7 +354,7 @@ def propagated(slopes, covariance):
 
 
 def with_slopes(fit, measure):
-    """Return a measure of the PSF, and its derivatives by the free parameters, ``(s, ...)``."""
+    """Return a measure of the PSF, and derivatives by the free parameters, ``(s, ...)``."""
     value = measure(fit.psf)
     slopes = np.zeros((len(fit.names), *value.shape))
     for slope, name in zip(slopes, fit.names, strict=True):
@@ -375,7 +375,7 @@ def psf_shape(fit):
         moments, slopes = with_slopes(fit, lambda psf: _moments(psf, *center))
         covariance = slopes.T @ fit.covariance @ slopes
     values = _axes(moments)
-    # Small steps, for the axes of a circle have no direction.
+    # Small, for the axes of a circle have no direction.
     steps = np.minimum(_STEP * np.sqrt(np.diag(covariance)) + 1e-12, _LARGEST_STEP * moments[0])
     by = np.array([_axes(moments + step) - values for step in np.diag(steps)])
     by[:, -1] = (by[:, -1] + 90) % 180 - 90
@@ -388,11 +388,11 @@ def psf_shape(fit):
 
 
 def _moments_of_shares(fit):
-    """Moments of the Gaussian that fits the typical shares, and their covariance."""
+    """Moments, as `_moments`, of a Gaussian fitted to typical shares, and their covariance."""
     x, y, time = (np.median(values) for values in (fit.x, fit.y, fit.time))
     shares = fit.model.unit_images(fit.shape, x, y) + fit.response[0].changes([x], [y], [time])[0]
     used = np.isfinite(fit.fitted).any(axis=0)
-    # The pixels scatter about it by one part of their light, and of all light in faint ones.
+    # Pixels scatter about it by a part of their light, and of all light in faint ones.
     weight = used / (np.abs(shares) + _EVERYWHERE)
     gaussian = PRF(BivariateGaussianPSF())
 
@@ -404,12 +404,12 @@ def _moments_of_shares(fit):
     upper = [2.0, x + 2, y + 2, *[10.0] * 2, 0.95]
     found = least_squares(residual, [1.0, x, y, 0.5, 0.5, 0.0], bounds=(lower, upper))
     sigma_x, sigma_y, rho = found.x[3:]
-    # Mostly the bright pixels determine the Gaussian: their number, and how far they scatter.
+    # Number and scatter of the bright pixels, which mostly determine the Gaussian.
     light = np.abs(shares)[used]
     number = light.sum() ** 2 / np.sum(light**2)
     variance = (light @ found.fun**2) / light.sum() * number / max(number - len(found.x), 1)
     covariance = variance * np.linalg.pinv(found.jac.T @ found.jac)[3:, 3:]
-    # Of the area above half of the largest value, of a Gaussian.
+    # Second moments of a Gaussian's area above half of its largest value.
     unit = np.log(4) / 4
     by = np.diag([2 * sigma_x, 2 * sigma_y, sigma_x * sigma_y])
     by[2, :2] = rho * sigma_y, rho * sigma_x
@@ -436,7 +436,7 @@ def _moments(psf, x, y):
 
 
 def _axes(moments):
-    """Return the rows of the table for an ellipse with these second moments."""
+    """Return the rows of `psf_shape` for an ellipse with these second moments."""
     xx, yy, xy = moments
     half, turned = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     major, minor = 4 * np.sqrt(half + turned), 4 * np.sqrt(half - turned)

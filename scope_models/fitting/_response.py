@@ -72,7 +72,7 @@ class _Image:
 
 
 class _Shares:
-    """Images of all stars, the PSF's and polynomials in all pixels, and the cadences' values."""
+    """Images of all stars, with polynomials in all pixels, and the state of the cadences."""
 
     def __init__(self, problem, state, center, error):
         self.problem, self.state, self.weight = problem, state, problem.weight
@@ -120,7 +120,7 @@ class _Shares:
         return other
 
     def basis(self):
-        """Polynomials of the cadences, and their derivatives by column and row, ``(n, k)``."""
+        """Polynomials of the cadences, and derivatives by column and row, ``(n, k)``."""
         values = (*self.problem.xy(self.state).T, self.problem.data.time)
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
         value, *slopes = polynomials(self.terms, *scaled)
@@ -130,7 +130,7 @@ class _Shares:
         return value, *slopes
 
     def psf(self):
-        """Images of the PSF of unit flux, and derivatives by place, ``(3, n, p)`` per star."""
+        """Unit images of the PSF, and derivatives by place, ``(3, n, p)`` per star."""
         xy = self.problem.xy(self.state)
         moved = np.flatnonzero(np.abs(xy - self.places).max(axis=1) > _TAYLOR)
         for start in range(0, len(moved), _CHUNK):
@@ -144,7 +144,7 @@ class _Shares:
         return [(value + right * x + up * y, x, y) for value, x, y in psfs]
 
     def residual(self, *, slopes=False):
-        """Data less model ``(n, p)``, and derivatives of the model by the columns of cadences."""
+        """Data less model ``(n, p)``, and derivatives of the model by the cadences' columns."""
         problem, state, k = self.problem, self.state, len(self.problem.columns)
         residual = problem.flux.copy()
         design = np.zeros((*residual.shape, k if slopes else 0))
@@ -164,7 +164,7 @@ class _Shares:
         return (residual, design) if slopes else residual
 
     def pixels(self):
-        """Yield number of each pixel, that in its file, and fluxes and images to learn from."""
+        """Yield each pixel's number, that in its file, and fluxes and images to learn from."""
         for pixels in self.problem.slices:
             own = [
                 (self.problem.fluxes(self.state, k), image)
@@ -175,7 +175,7 @@ class _Shares:
                 yield pixel, number, [pair for pair in own if pair[1].unit[number]]
 
     def update(self):
-        """Fit the polynomials of all pixels to the light of the cadences that are not held out."""
+        """Fit the polynomials of all pixels to the cadences that are not held out."""
         learned, order = self.used & ~self.held, self.order
         phi, rest = self.basis()[0][learned], self.residual()[learned]
         squares, counts = np.zeros_like(self.width), np.zeros_like(self.width)
@@ -222,7 +222,7 @@ class _Shares:
         return light[0] / np.maximum(light[1], _LEAST_PRIOR)
 
     def equations(self):
-        """Normal equations of the cadences, with the prior of the positions, and derivatives."""
+        """Normal equations of the cadences, with the positions' prior, and derivatives."""
         residual, design = self.residual(slopes=True)
         weighted = design * self.weight[..., None]
         normal = weighted.transpose(0, 2, 1) @ weighted
@@ -232,14 +232,14 @@ class _Shares:
         return normal, right[..., None], design
 
     def improve(self):
-        """Fit flux, position and background of each cadence, by one step."""
+        """Fit the cadences, by one step."""
         normal, right, _ = self.equations()
         step = solved(normal, right)[..., 0]
         step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
         self.state = replace(self.state, cadence=self.state.cadence + step)
 
     def put_on_path(self):
-        """Put the positions on the scale of POS_CORR, where the motion agrees with it."""
+        """Put positions on the scale of POS_CORR, where the motion agrees with it."""
         corr, used, cadence = self.problem.data.pos_corr, self.used, self.state.cadence.copy()
         if corr is None or not corr.std(axis=0).all():
             return
@@ -258,7 +258,7 @@ class _Shares:
         return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
     def leave_out(self):
-        """Leave out single pixels that are hit, and cadences that the model does not describe."""
+        """Leave out pixels that are hit, and cadences that the model does not describe."""
         good = self.problem.weight > 0
         squares = (self.problem.weight * self.residual()) ** 2
         typical = median_image(np.where(good, squares, np.nan))
@@ -286,7 +286,7 @@ class _Shares:
 
 
 def _choose(shares, report):
-    """Add terms as long as the cadences that are held out are described better."""
+    """Add terms as long as they describe held-out cadences better."""
     given, held, steps, work = shares.problem.weight, shares.held, 0, 0.0
     crowd = max(np.bincount([star.stamp for star in shares.problem.stars]))
 
@@ -341,13 +341,13 @@ def fit_response(problem, solution, fits, report):
 
 
 def _errors(shares):
-    """`Errors` of the parameters of the cadences, and how many are free, ``(n,)``."""
+    """`Errors` of the cadences, and how many of their parameters are free, ``(n,)``."""
     normal, _, design = shares.equations()
     k = normal.shape[1]
     covariance = solved(normal, np.broadcast_to(np.eye(k), normal.shape))
     own = np.diagonal(covariance[:, :2, :2], axis1=1, axis2=2)
     n_free = k - np.sum(own / np.square(shares.error), axis=1)
-    # How the errors of the shares act on them, in the gauge of the shares.
+    # How the errors of the shares act on them, in their gauge.
     gain = covariance @ (design * shares.weight[..., None] ** 2).transpose(0, 2, 1)
     for image in (shares.images[star] for star in shares.firsts):
         part = gain[..., image.pixels]
@@ -368,7 +368,7 @@ def _errors(shares):
 
 
 def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
-    """Return the fit of the PSF to a file with the response of its pixels."""
+    """Return a file's fit of the PSF with the response of its pixels."""
     problem, used, held = shares.problem, shares.used, shares.held
     modeled = problem.flux - shares.residual()
     given = problem, shares.state, errors, number, modeled, shares.weight

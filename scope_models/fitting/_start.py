@@ -50,8 +50,8 @@ _FAINT = 0.1
 class PixelData(PixelSeries):
     """Pixels and cadences that a fit uses, NaN where not; POS_CORR interpolated where unusable."""
 
-    light: np.ndarray  # flux with saturated pixels, for the first guess of the positions
-    pos_err: np.ndarray | None  # (n, 2), infinite where POS_CORR is interpolated; None if unknown
+    light: np.ndarray  # flux with saturated pixels
+    pos_err: np.ndarray | None  # (n, 2), infinite where POS_CORR is interpolated
     pixels: np.ndarray  # (ny, nx), bool: those with data
 
     @property
@@ -60,7 +60,7 @@ class PixelData(PixelSeries):
 
 
 def read_data(series, flux_err, limit, moved, n_free):
-    """Take the usable data of a `PixelSeries`, with the positions ``moved`` and their errors."""
+    """Take the usable data of a `PixelSeries`, with positions ``moved`` and their errors."""
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
@@ -110,7 +110,7 @@ def _drop_bad_errors(flux, error):
 
 
 def _drop_saturated(flux, limit):
-    """Leave out the columns of pixels whose wells are full: the light runs along them."""
+    """Leave out columns with full wells, along which the light runs."""
     full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
     if columns.size:
@@ -207,7 +207,7 @@ def located(data, target, others, own):
 
 
 def find_stars(flux):
-    """Return columns and rows ``(k, 2)`` of the maxima of the median image, the brightest first."""
+    """Return places ``(k, 2)`` of maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
     if not good.any():
         return np.zeros((0, 2))
@@ -240,7 +240,7 @@ def make_prf(psf, sensitivity, empirical):
         parts = [*zip(_FRACTIONS, _SIGMAS, strict=True)][:psf]
         psf = reduce(add, (models.BivariateGaussianPSF(part, 0, 0, s, s) for part, s in parts))
     if empirical:
-        # A change of its flux or width is a change of the coefficients, which are linear.
+        # A change of its flux or width is one of the coefficients, which are linear.
         number, sigma = models.PRF(psf).n_components, _EMPIRICAL_SIGMA
         psf = psf + models.GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
         fixed |= {f"{name}_{number}": True for name in ("flux_fraction", "sigma_x", "sigma_y")}
@@ -251,7 +251,7 @@ def make_prf(psf, sensitivity, empirical):
 
 
 def _given_prf(prf, sensitivity, order):
-    """A PRF of the caller, if it is a table times a smooth correction of that order."""
+    """A PRF of the caller; a table times a correction of that order."""
     prf = prf if isinstance(prf, models.PRF) else models.PRF(prf)
     if sensitivity is not None:
         raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
@@ -318,7 +318,7 @@ def starting_state(problem):
 
 
 def centroids(data, place=None):
-    """First moments of the bright pixels around the brightest, or near a place, ``(n, 2)``."""
+    """First moments of bright pixels around the brightest, or near a place, ``(n, 2)``."""
     image = median_image(data.light)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
@@ -331,7 +331,7 @@ def centroids(data, place=None):
             at = f"({place[0]:.6g}, {place[1]:.6g})"
             raise ValueError(f"no pixel is within {_NEAR} px of the star at {at}")
         image, flux = image * near, flux * near
-    # Where the star ever is for some time; a cosmic ray is elsewhere, most often.
+    # Where the star is for some time; cosmic rays are elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)
     flux = np.where(often > _BRIGHT * often.max(), flux, -np.inf)
     peak = flux.argmax(axis=1)
@@ -351,7 +351,7 @@ def is_faint(data, target, other):
 
 
 def linear_start(problem, state):
-    """Fit fluxes and backgrounds, in which the model is linear, with the rest of a state."""
+    """Fit fluxes and backgrounds, in which the model is linear."""
     shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
     files = problem.slices if problem.options.background == "cadence" else ()
     columns = [*map(problem.flux_number, range(len(problem.stars)))]

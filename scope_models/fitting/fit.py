@@ -188,9 +188,9 @@ def fit_tpf(
 
 
 def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
-    """Return the kind of response, the solutions of all models of few cadences, and the best."""
+    """Return the kind of response, solutions of all models of few cadences, and the best."""
     left = any_psf and any_response and sensitivity is None and problem.options.focus is None
-    # Whether the flux where the fit starts is above what the noise of a place makes.
+    # Whether the flux where the fit starts is above the noise of a place.
     flux = problem.fluxes(_start.starting_state(problem))
     seen = np.median(flux) > _doubts.CERTAIN * mad_std(flux) / np.sqrt(len(flux))
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
@@ -218,12 +218,11 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
 
 
 def _with(problem, prf=None, **options):
-    """Return the problem with other options, and with another PRF if there is one."""
     return replace(problem, prf=prf or problem.prf, options=replace(problem.options, **options))
 
 
 def _candidates(problem, sensitivity, simple, any_psf, any_response):
-    """Models to try, the simplest first or only, and how many steps each is worth."""
+    """Models to try, the simplest first, and how many steps each is worth."""
     plain = {"interpixel": 0.0} if any_response else {}
     if not any_psf:
         yield problem, np.inf
@@ -240,7 +239,7 @@ def _candidates(problem, sensitivity, simple, any_psf, any_response):
 
 
 def _held(problem):
-    """Options for positions near those of POS_CORR: a PSF that is wrong absorbs motion."""
+    """Options for positions near POS_CORR, because a wrong PSF absorbs motion."""
     options, pos_corr = problem.options, problem.data.pos_corr
     if options.positions != "start" or pos_corr is None or not pos_corr.std(axis=0).all():
         return {}
@@ -249,13 +248,13 @@ def _held(problem):
 
 
 def _tried(candidates, steps, *, few, doubtful=False):
-    """Fit models until one describes some of the pixels; return the solutions by rank.
+    """Fit models to few cadences until one describes them; return the solutions by rank.
 
-    They have the cadences that a choice needs; a guess, without ``few``, up to twice as many.
+    A guess, without ``few``, has up to twice as many as a choice needs.
     """
     tried = []
     for problem, most in candidates:
-        # A simpler model after a richer one takes its place where that one ends at a bound.
+        # A simpler model after a richer one takes its place if that one ends at a bound.
         if tried and problem.n_shared < tried[-1].problem.n_shared and not _ends(tried[-1]):
             continue
         values = _FEW_VALUES // problem.flux.shape[1]
@@ -271,21 +270,20 @@ def _tried(candidates, steps, *, few, doubtful=False):
 
 
 def _fitted(problem, steps, most, guess=None, *, doubtful=False):
-    """Fit everything, with errors that are scaled to the residuals; return the solution.
+    """Return the solution with errors that are scaled to the residuals, in ``most`` steps.
 
-    After ``most`` steps the errors stay. ``guess``: the solution for some of the cadences, which
-    constrain nearly as well what all share. ``doubtful``: a model that is not true with a response
-    between pixels is not finished, since the same model without that response is better.
+    ``guess`` is the solution for some of the cadences; ``doubtful``: a model that is not true with
+    a response between pixels is given up, for it is better without.
     """
     steps = partial(steps, max_steps=min(problem.options.max_steps, most))
     state = _start.starting_state(problem)
-    # What the shape of the PSF can imitate is freed when the shape is about right.
+    # What the shape of the PSF can imitate waits until that is about right.
     early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
     if guess is not None:
         state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
         state = _start.linear_start(problem, state)
         early, most = {"n_steps": guess.n_steps}, np.inf
-    # Scaled from the start: else all residuals are outliers to a robust loss.
+    # Else all residuals are outliers to a robust loss.
     problem = problem.rescaled(state)
     solution = steps(problem, state, loosely=True, **early)
     for remaining in reversed(range(_RESCALINGS)):
@@ -302,12 +300,12 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
 
 
 def _of_all(solution, problem, steps, most):
-    """Return the fit of all cadences of a problem, from the solution for some of them."""
+    """Fit all cadences of a problem, from the solution for some of them."""
     return _fitted(replace(solution.problem, stamps=problem.stamps), steps, most, solution)
 
 
 def _of_models(response, tried, solution, fit):
-    """Doubts about a fit that other models raise: a response within pixels, and another flux."""
+    """Doubts that other models raise: a response within pixels, and another flux."""
     if gain := response == "psf" and _hidden_gain(solution):
         yield (
             f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
@@ -326,9 +324,9 @@ def _of_models(response, tried, solution, fit):
 
 
 def _with_response(solution, steps, n_cadences):
-    """Return the fit with a response within pixels if that is measured in so many cadences.
+    """Return the fit with a response within pixels if so many cadences measure it.
 
-    Else the motion does not tell it from the width, and the flux would be uncertain.
+    Else it cannot be told from the width, and the flux would be uncertain.
     """
     guess = len(solution.problem.flux) < n_cadences
     own = {"n_steps": solution.n_steps, "max_steps": _MANY_STEPS}
@@ -344,7 +342,7 @@ def _with_response(solution, steps, n_cadences):
 
 
 def _richer(solution):
-    """Return the problem with a response within pixels, and the state with one of 1."""
+    """Return problem and state with a response within pixels, of 1."""
     problem, state = solution.problem, solution.state
     richer = _with(problem, _start.with_response(problem.prf))
     values = {parameter.name: parameter.start for parameter in richer.parameters}
@@ -355,8 +353,7 @@ def _richer(solution):
 def _hidden_gain(solution):
     """By how much a response within pixels would lower chi-squared of a fit without one.
 
-    0 if by chance; where the model is not true, so that its errors are scaled up; and with a focus,
-    which is of first order.
+    0 if by chance, for a model that is not true, and with a focus, which is of first order.
     """
     prf, focus = solution.problem.prf, solution.problem.options.focus
     given = prf.sensitivity or prf.table or focus
@@ -367,7 +364,7 @@ def _hidden_gain(solution):
 
 
 def _is_true(solution, *, strictly=False):
-    """Whether the model describes the pixels, with a response that agrees with its prior."""
+    """Whether the model describes the pixels, with a response as its prior has it."""
     problem, prior = solution.problem, solution.problem.options.interpixel
     agrees = not prior or np.std(solution.state.interpixel) <= _doubts.LARGEST_SCATTER * prior
     excess = solution.equations.cost / problem.dof - 1
@@ -389,16 +386,16 @@ def _is_strange(solution):
 
 
 def _rank(solution):
-    """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
+    """Key that sorts models, the best first."""
     problem = solution.problem
-    # A free response between pixels describes errors of the PSF where the model is not true.
+    # A response between pixels describes errors of a PSF that is wrong.
     absorbs = bool(problem.options.interpixel) and not _is_true(solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
     return absorbs, _is_strange(solution), _ends(solution), problem.misfit, information
 
 
 def _make_problem(series, places, prf, flux_err, options, motion):
-    """What is fitted, and the detectors that recorded it."""
+    """The `Problem` and the detectors of the files."""
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")

@@ -197,7 +197,7 @@ class TPFFit(Value):
         return self._mean_squares((1, 2))
 
     def _mean_squares(self, axis):
-        """Mean square of the scaled residuals, with the parameters spread over all data."""
+        """Mean squared residuals, with the parameters spread over all data."""
         squares = (self.residual / self.observed_err) ** 2
         if self.outliers is not None:
             squares[self.outliers] = np.nan
@@ -493,7 +493,7 @@ def make_results(solution, errors, detectors, series):
 
 
 def fitted_fields(problem, state, errors, number, fitted, weight):
-    """Fields, columns and squares of the fit of a file, from model and weights of all pixels."""
+    """Fields, columns and squared residuals of a file, from model and weights of all pixels."""
     data, pixels = problem.stamps[number], problem.slices[number]
     observed, modeled = np.full((2, *data.flux.shape), np.nan)
     for cube, values in ((observed, problem.flux), (modeled, fitted)):
@@ -518,7 +518,7 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
 
 
 def _of_star(problem, state, errors, star):
-    """Position and flux of a star, and their errors, by name."""
+    """The columns of a `FittedStar`."""
     n, k, m = errors.mixed.shape
     by = np.zeros((2, n, k + m))
     for axis, column, derivative in problem.position_terms(state, star):
