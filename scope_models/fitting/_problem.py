@@ -51,20 +51,19 @@ class FitOptions(Value):
         Background left in the pixels.
     focus : float or `~astropy.units.Quantity`, optional
         Shortest time, days, in which the width of the PSF changes: all distances from the star
-        scale with a cubic spline of time, of mean 1 and with a prior of 5 %, to first order, so
-        that widths err by about the variance of the change. None: the width is constant.
+        scale, to first order, with a cubic spline of time of mean 1 and with a prior of 5 %. None:
+        the width is constant.
     loss : {"linear", "soft_l1"}, optional
-        Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
-        for data with cosmic rays.
+        Least squares, or, for cosmic rays, linear growth above ``loss_scale``.
     loss_scale : float, optional
         In standard deviations.
     max_steps : int, optional
         Largest number of steps of each stage.
     neighbor_flux : {"auto", "cadence", "constant"}, optional
-        Whether the other stars have a flux in each cadence, or one for all of them; "auto": one
-        for stars fainter than a tenth of the target.
+        Whether other stars have a flux in each cadence, or one for all; "auto": one below a tenth
+        of the target.
     position_error : float or `~astropy.units.Quantity`, optional
-        Standard deviation of the positions about the path, pixels, for ``positions="prior"``.
+        Standard deviation about the path, pixels, for ``positions="prior"``.
     saturation : bool, optional
         Whether columns with pixels near the depth of their wells are left out.
 

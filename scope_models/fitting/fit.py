@@ -49,16 +49,15 @@ def fit_tpf(
 
     .. math:: f_{t,p} = b_p F_t \int_p P(x - x_t, y - y_t)\, s(u, v)\, dx\, dy + B_t
 
-    with the shape of the PSF P, the sensitivity s and the response b of each pixel shared by all
-    cadences, and position, flux F and background B for each of them.
+    with the PSF P, the sensitivity s and the response b of each pixel shared by all cadences, and
+    position, flux F and background B of each cadence.
 
     Parameters
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
-        The pixels, less the background of FLUX_BKG: the object, or a file, whose cadences with bad
-        quality flags are left out as lightkurve does. Several files of one CCD are fitted in the
-        cadences that all have, with one PSF, sensitivity and motion, up to a linear map with a
-        prior of 0.3 about 1.
+        The pixels, less FLUX_BKG: the object, or a file, whose cadences with bad quality flags are
+        left out as lightkurve does. Several files of one CCD share PSF, sensitivity, cadences, and
+        the motion up to a linear map with a prior of 0.3 about 1.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
@@ -67,38 +66,36 @@ def fit_tpf(
         empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted; constants
-        are always fixed. None: 1; or, if ``psf`` is None too, a polynomial of second order where
-        only that describes the pixels, and the motion measures it to 1.25 % at a pixel's edge.
+        are always fixed at 1. None: 1; or, if ``psf`` is None too, of second order where only that
+        describes the pixels, and the motion measures it to 1.25 % at a pixel's edge.
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
         the local maxima of the median image above a twentieth of the brightest pixel and ten
-        errors, the brightest first after the target. By default the target alone: the maximum in
-        the pipeline's aperture, of several one at the file's coordinates. For several files, a
-        sequence of them.
+        errors. By default the target alone: the maximum in the pipeline's aperture, of several one
+        at the file's coordinates. For several files, a sequence of them.
     neighbors : as ``stars``, optional
-        Positions of the other stars only, even brighter ones; the target among places on the sky
-        is left out. "find": the maxima more than 1.5 px from the target.
+        Positions of the other stars only, even brighter ones, without a target among places on the
+        sky. "find": the maxima more than 1.5 px from the target.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF, with fixed width
         and part of the flux, and a prior of standard deviation 10 of its coefficients; 0 for none.
         For another width, give the term as a part of ``psf``. For a table of a PRF, the order of
         the smooth factor of a `~scope_models.models.CorrectedPRF`, with a prior of 0.1.
     interpixel : float, optional
-        Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
-        None: 0.01 if the model then describes the pixels with a response that agrees with it; else
-        0, because b would describe errors of the PSF.
+        Standard deviation, before the fit, of the response b between pixels, whose mean, weighted
+        by the median image, is 1; 0 fixes it at 1. None: 0.01 if the model then describes the
+        pixels with a response that agrees with it; else 0.
     positions : {"start", "free", "prior", "path"} or Motion, optional
         What POS_CORR is used for, through an affine map: the first guess of free positions,
         nothing, a prior, or the positions themselves. The map is fitted too for the last two,
-        with a prior of 0.02 about the scale 1. A motion, as `~scope_models.Motion.from_tpfs` gives
-        it, is a prior in place of POS_CORR, with its errors or else ``position_error``.
+        with a prior of 0.02 about the scale 1. A motion is a prior in place of POS_CORR, with its
+        errors or else ``position_error``.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
-        of a star's light is that plus a polynomial of fitted position and slow time; b is 1, the
-        loss that of least squares, and ``sensitivity``, ``focus`` and ``interpixel`` must be left
-        out. "auto": "pixels" for 100 cadences and more that no PSF describes, if PSF, sensitivity,
-        b and focus are left to the data; else "psf".
+        of a star's light is that plus a polynomial of fitted position and slow time, by least
+        squares without ``sensitivity``, ``focus`` and ``interpixel``. "auto": "pixels" for 100
+        cadences and more that no PSF describes, if all these are left to the data; else "psf".
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     options : FitOptions, optional
@@ -109,8 +106,8 @@ def fit_tpf(
     Returns
     -------
     TPFFit or tuple of TPFFit
-        The fit; for several files one of each. It is returned, with a warning, even if it has not
-        converged, which it has not where a parameter is at a bound.
+        The fit; for several files one of each. A warning says if it has not converged, as where a
+        parameter is at a bound.
 
     Raises
     ------
@@ -126,7 +123,6 @@ def fit_tpf(
 
     Notes
     -----
-    The constants of the sensitivity are 1, and so is the mean of b, weighted by the median image.
     Pixel values that are not finite, and cadences with too few of them, are left out.
 
     Where the typical squared residual of all pixels, or of those with light, from medians, is above

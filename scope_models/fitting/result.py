@@ -45,39 +45,37 @@ class TPFFit(Value):
     parameters : astropy.table.Table
         Parameters that all cadences share, the free ones first: name, value, error, unit, fixed,
         kind as in `~scope_models.PRF.parameter_kinds`, and at_bound. The error is NaN at a bound,
-        and for coefficients of a sensitivity where the PSF is wrong.
+        and for a sensitivity where the PSF is wrong.
     covariance : ndarray of shape (s, s)
-        Covariance of the free ones, with the uncertainty of all other parameters.
+        Covariance of the free ones, marginalized over all others.
     cadences : astropy.table.Table
         A row per cadence: time in days, cadenceno and quality; x and y in pixels, flux and
         background in e-/s, with x_err, y_err, flux_err and background_err, which hold the
         uncertainty of the shared parameters; flux_scatter, the error of a light curve, of the flux
-        less its mean; focus, the relative width of the PSF, 1 where it was not fitted; pos_corr, of
-        shape (n, 2), if the file has it. With a response of each pixel, which takes up what all
-        cadences share, the errors of x, y and background are those between cadences, and held_out
-        and outliers mark cadences from which it has not learned, and those that it does not
-        describe, which are not part of chi-squared.
+        less its mean; focus, the relative width of the PSF; pos_corr, of shape (n, 2), if the file
+        has it. With a response of each pixel the errors of x, y and background are those between
+        cadences, for it takes up what all share; held_out are cadences from which it has not
+        learned, and outliers those that it does not describe, which chi-squared leaves out.
     neighbors : tuple of FittedStar
         The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
-        Response of each pixel against the others; 1 and NaN where there are no data.
+        Response of each pixel and its error; 1 and NaN without data.
     observed, observed_err, fitted : ndarray of shape (n, ny, nx)
-        The data, their errors and the model, e-/s; NaN where not used.
+        Data, errors and model, e-/s; NaN where not used.
     statistics : mapping
-        ``chi2``, of the pixels without priors; n_data, their number, and n_parameters;
-        error_scale, by which errors were scaled up because the model is not true; converged and
-        n_steps; chi2_held_out, chi-squared per degree of freedom of the held-out cadences, NaN
-        without a response.
+        chi2, of the pixels without priors; n_data, their number, and n_parameters; error_scale, by
+        which errors were scaled up where the model is not true; converged and n_steps;
+        chi2_held_out, per degree of freedom of the held-out cadences, NaN without a response.
     time_format : str
         "bkjd" or "btjd".
     detector : Detector
-        The pixels, with the fitted response.
+        The detector, with the fitted response.
     options : mapping
         Options of the fit.
     meta : mapping
-        The file's description of the star.
+        Cards of the file that describe star and stamp.
     response : tuple of PixelShares, optional
-        Changes of each pixel's share in the light of each star, if they were fitted.
+        Changes of each pixel's share of each star's light, if they were fitted.
 
     Examples
     --------
@@ -293,7 +291,7 @@ class TPFFit(Value):
         Returns
         -------
         offset : ndarray of shape (samples,)
-            Offsets of the points along columns and rows, pixels.
+            Offsets along columns and rows, pixels.
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
 
@@ -337,8 +335,7 @@ class TPFFit(Value):
         Parameters
         ----------
         positions : {"fitted", "path"} or Motion, optional
-            The fitted positions, with their noise, or those of the affine map of POS_CORR or of a
-            motion.
+            Fitted positions, with their noise, or an affine map of POS_CORR or of a motion.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
             their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes
@@ -347,11 +344,10 @@ class TPFFit(Value):
         Returns
         -------
         Scene
-            The stars, the positions about their median, a fitted focus, and pixels with the fitted
-            sensitivity and response, and the read noise with which faint pixels scatter as those
-            of the file do from one cadence to the next. Names and places are those of the file.
-            Only with a response of each pixel are its shares and the background that the file left
-            in the pixels part of the scene.
+            Stars, positions about their median, focus, sensitivity and response as fitted, the
+            read noise with which faint pixels scatter from cadence to cadence, and names and
+            places of the file; with a response of each pixel also its shares, and the fitted
+            background.
         """
         return _products.make_scene(self, positions, signal)
 
@@ -361,7 +357,7 @@ class TPFFit(Value):
         Returns
         -------
         str
-            Model, residuals, motion, parameters with errors, and doubts.
+            Model, residuals, motion, parameters and doubts.
         """
         n, ny, nx = self.observed.shape
         state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
@@ -406,7 +402,7 @@ class TPFFit(Value):
         Returns
         -------
         dict of str to matplotlib.axes.Axes
-            The Axes by what they show.
+            The Axes by names.
         """
         from scope_models.plotting import plot_fit
 
