@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from scope_models.fitting._products import SMOOTHING_DAYS, smoothed
+from scope_models.fitting._products import SMOOTHING_DAYS, light_of, smoothed
 from scope_models.fitting._start import APART, find_stars
 
 __all__ = ["CERTAIN", "LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed", "is_measured"]
@@ -71,7 +71,7 @@ def _of_pixels(fit):
             f"the response between pixels scatters by {100 * scatter:.2g} %, but its prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
-    light, invented = np.median(_light(fit)), np.median(fit.flux)
+    light, invented = np.median(light_of(fit, fit.observed)), np.median(fit.flux)
     if invented > LARGEST_FLUX * light > 0:
         yield (
             f"the flux is {invented:.4g} e-/s, but the pixels hold {light:.4g}: the PSF has most "
@@ -93,11 +93,6 @@ def _of_pixels(fit):
                 f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
                 'other stars: neighbors="find" fits them'
             )
-
-
-def _light(fit):
-    """Light in the pixels by cadence, e-/s."""
-    return np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
 
 
 def _described(fit):
@@ -139,7 +134,8 @@ def _of_flux(fit):
         )
     seen = np.isfinite(fit.observed)
     whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
-    steps = np.diff(np.column_stack([fit.flux, _light(fit)])[whole & _described(fit)], axis=0)
+    fluxes = np.column_stack([fit.flux, light_of(fit, fit.observed)])
+    steps = np.diff(fluxes[whole & _described(fit)], axis=0)
     ours, pixels = np.sqrt(np.sum(steps**2, axis=0) / max(len(steps), 1))
     error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
     if ours > LARGEST_FLUX * np.hypot(pixels, error):

@@ -27,8 +27,8 @@ from scope_models.scene.star import Star
 
 __all__ = [
     "CADENCE_UNITS", "SMOOTHING_DAYS", "STATISTICS", "FittedStar", "cadence_table",
-    "degrees_of_freedom", "make_scene", "parameter_table", "propagated", "psf_shape", "read_fit",
-    "sensitivity_profiles", "smoothed", "with_slopes", "write_fit",
+    "degrees_of_freedom", "light_of", "make_scene", "mapped", "parameter_table", "propagated",
+    "psf_shape", "read_fit", "sensitivity_profiles", "smoothed", "with_slopes", "write_fit",
 ]  # fmt: skip
 
 _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
@@ -231,28 +231,26 @@ def make_scene(fit, positions, signal):
     checked_choice("signal", signal, ("smooth", "fitted", "constant"))
     xy = np.column_stack([fit.x, fit.y])
     if fit.response and path is not None:
-        errors = fit.x_err, fit.y_err
-        parts = zip(path.T, xy.T, errors, strict=True)
-        xy = np.column_stack([p + denoised(fit, place - p, error) for p, place, error in parts])
+        pairs = zip((xy - path).T, (fit.x_err, fit.y_err), strict=True)
+        xy = path + np.column_stack([denoised(fit, *pair) for pair in pairs])
     if common:
         path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, fit.shape)
     if common or positions == "path":
         if path is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
         known = np.isfinite(path).all(axis=1)
-        basis = np.column_stack([np.ones(known.sum()), path[known]])
-        xy[known] = basis @ np.linalg.lstsq(basis, xy[known], rcond=None)[0]
-    flux = float(np.median(fit.flux))
+        xy[known] = mapped(path[known], xy[known])
+    flux = np.median(fit.flux)
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
-    middle, stars = np.median(xy, axis=0).tolist(), []
-    for star in (fit, *fit.neighbors):
-        *place, light = (float(np.median(values)) for values in (star.x, star.y, star.flux))
+    middle, stars = np.median(xy, axis=0), []
+    others = (np.median([star.x, star.y, star.flux], axis=1) for star in fit.neighbors)
+    for x, y, light in ((*middle, flux), *others):
         if light > 0:
             mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
-            own = {} if stars else {"signal": _signal(fit, signal)}
-            stars.append(Star(float(mag), *(place if stars else middle), psf=fit.psf, **own))
+            own = None if stars else _signal(fit, signal)
+            stars.append(Star(float(mag), float(x), float(y), signal=own, psf=fit.psf))
     arrays = {name: getattr(fit, name) for name in ("time", "quality", "cadenceno", "time_format")}
     motion = Motion(x=xy[:, 0] - middle[0], y=xy[:, 1] - middle[1], **arrays)
     effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
@@ -262,11 +260,18 @@ def make_scene(fit, positions, signal):
     return Scene(stars, detector, motion, effects=effects, **_identity(fit.meta, detector.mission))
 
 
+def mapped(path, xy):
+    """Positions ``(n, 2)`` as the affine map of a path that is nearest has them."""
+    basis = np.column_stack([np.ones(len(path)), path])
+    return basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
+
+
 def _identity(cards, mission):
     """Return the fields of a scene that identify the target, from cards of the file."""
-    names = {"object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
-    names |= {"column": "1CRV5P", "row": "2CRV5P"}
-    names["target_id"] = "KEPLERID" if "KEPLERID" in cards else "TICID"
+    names = {
+        "object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ", "column": "1CRV5P",
+        "row": "2CRV5P", "target_id": "KEPLERID" if "KEPLERID" in cards else "TICID",
+    }  # fmt: skip
     found = {name: cards[key] for name, key in names.items() if key in cards}
     steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
     if all(isinstance(step, int | float) for step in steps):
@@ -287,12 +292,16 @@ def _signal(fit, kind):
         relative = denoised(fit, fit.flux, fit.flux_scatter) / typical
     elif kind == "smooth":
         # Unlike fitted fluxes, sums of pixels do not depend on errors of the PSF.
-        cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
-        light, expected = (np.nansum(cube, axis=(1, 2)) for cube in cubes)
+        light, expected = light_of(fit, fit.observed), light_of(fit, fit.fitted)
         ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
         relative = smoothed(fit.time, relative * ratio)
         relative /= np.median(relative)
     return np.maximum(relative, 0.0)
+
+
+def light_of(fit, cube):
+    """Sums of all pixels less background, e-/s, ``(n,)``."""
+    return np.nansum(cube - fit.background[:, None, None], axis=(1, 2))
 
 
 def smoothed(time, values):

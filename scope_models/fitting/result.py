@@ -243,9 +243,8 @@ class TPFFit(Value):
         """
         if self.pos_corr is None:
             return np.nan, np.nan
-        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
         xy = np.column_stack([self.x, self.y])
-        left = (xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]).var(axis=0)
+        left = (xy - _products.mapped(self.pos_corr, xy)).var(axis=0)
         variance = np.where(xy.var(axis=0) > 0, xy.var(axis=0), np.nan)
         return tuple((1 - left / variance).tolist())
 
