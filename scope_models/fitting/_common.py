@@ -164,7 +164,6 @@ class _Fit:
         return np.stack([[one, zero, -y, x], [zero, one, x, y]]).transpose(2, 0, 1)
 
     def run(self):
-        """Fit until the states stay."""
         for _ in range(_MOST_STEPS):
             before = self.states
             self.states, self.covariance = self.cadences(np.ones(len(self.xy), dtype=bool))
@@ -219,7 +218,6 @@ class _Fit:
         return found, np.sum(rest * self.precision[k], axis=1), -evidence / 2
 
     def _fit_track(self, k):
-        """Fit map, origin, factor of the variance, and weights of the tails of a track."""
         given = self.states, self.covariance, self.map_error[k], self.tails[k], self.factor[k]
         self.maps[k], squares, _ = self._regress(k, *given)
         self.factor[k], self.tails[k] = self._noise(k, squares, self.factor[k])
@@ -245,7 +243,6 @@ class _Fit:
         return density[self.seen[k]].sum() + prior, factor
 
     def motion(self, time_format):
-        """Return the motion about the place that is known best."""
         light = np.einsum("kn,kna->k", self.tails / self.factor[:, None], self.precision)
         middle, known = light @ self.place / light.sum(), self.seen.any(axis=0)
         # x, y, roll and scale

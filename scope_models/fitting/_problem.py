@@ -99,8 +99,6 @@ class FitOptions(Value):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Settings(FitOptions):
-    """All options of a fit."""
-
     empirical: int = integer(0, 0)
     interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
     positions: str = "start"
@@ -115,8 +113,6 @@ class Settings(FitOptions):
 
 @dataclass(frozen=True)
 class FitParameter:
-    """A parameter that all cadences share."""
-
     name: str
     kind: str  # as in `PRF.parameter_kinds`, or position, slope, flux, focus
     lower: float = -np.inf
@@ -221,12 +217,10 @@ class Problem:
 
     @cached_property
     def weight(self):
-        """Inverse errors, ``(n, p)``, 0 where there are no data."""
         return self._given_weight / self.error_scale
 
     @cached_property
     def slices(self):
-        """Fitted pixels of each file."""
         ends = [0, *np.cumsum([s.pixels.sum() for s in self.stamps]).tolist()]
         return [slice(start, end) for start, end in pairwise(ends)]
 
@@ -279,17 +273,14 @@ class Problem:
 
     @property
     def n_pixels(self):
-        """Number of pixels with a response b."""
         return self.slices[-1].stop if self.options.interpixel else 0
 
     @cached_property
     def _of_shape(self):
-        """Free parameters of the PRF, which come first."""
         return fit_parameters(self.prf, np.max([s.shape for s in self.stamps], axis=0))
 
     @property
     def affine(self):
-        """Shared parameters of the path, if it has any."""
         return slice(len(self._of_shape), len(self._of_shape) + 6)
 
     @cached_property
@@ -322,7 +313,6 @@ class Problem:
 
     @cached_property
     def columns(self):
-        """Names of the parameters of a cadence."""
         fluxes = (_flux_of(k) for k, star in enumerate(self.stars) if not star.constant)
         number = len(self.stamps) if self.options.background == "cadence" else 0
         return ("x", "y", *fluxes, *map(_background_of, range(number)))
@@ -345,7 +335,6 @@ class Problem:
         return np.array([(p.lower, p.upper) for p in self.parameters]).reshape(-1, 2).T
 
     def at_bounds(self, state):
-        """Which of the shared parameters are at a bound, ``(s,)``."""
         return (state.shared <= self.bounds[0]) | (state.shared >= self.bounds[1])
 
     @cached_property
@@ -416,11 +405,9 @@ class Problem:
                 yield axis, self.numbers[f"{name}_star_{star}"], one
 
     def fluxes(self, state, star=0):
-        """Fluxes of a star, ``(n,)``."""
         return state.column(self.flux_number(star))
 
     def backgrounds(self, state, stamp=0):
-        """Backgrounds of a file, ``(n,)``."""
         number = self.background_number(stamp)
         return np.zeros(len(state.cadence)) if number is None else state.column(number)
 
@@ -445,7 +432,6 @@ class Problem:
         return (image, [by[name][:, stamp.pixels] for name in needed]) if derivatives else image
 
     def model(self, state):
-        """Model of the fitted pixels, ``(n, p)``."""
         model = np.zeros(self.flux.shape)
         for part in self.chunks():
             for k, star in enumerate(self.stars):

@@ -123,7 +123,6 @@ def degrees_of_freedom(statistics):
 
 
 def cadence_table(columns):
-    """`TPFFit.cadences`, from columns by name; None are left out."""
     names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
     units = {name: CADENCE_UNITS[name] or None for name in names}
     return Table({name: columns[name] for name in names}, units=units)
@@ -156,7 +155,6 @@ def write_fit(fit, path, *, overwrite):
 
 
 def read_fit(path):
-    """Return the fields of a fit in a file."""
     with open_fits(path) as hdus:
         header = hdus[0].header
         if header.get("CREATOR") != _CREATOR:
@@ -199,7 +197,6 @@ def _fields_of(hdus):
 
 
 def _description(fit):
-    """Values of a fit that JSON holds."""
     model, options = fit.model, dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
@@ -267,7 +264,6 @@ def mapped(path, xy):
 
 
 def _identity(cards, mission):
-    """Return the fields of a scene that identify the target, from cards of the file."""
     names = {
         "object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ", "column": "1CRV5P",
         "row": "2CRV5P", "target_id": "KEPLERID" if "KEPLERID" in cards else "TICID",
@@ -445,7 +441,6 @@ def _moments(psf, x, y):
 
 
 def _axes(moments):
-    """Return the rows of `psf_shape` for an ellipse with these second moments."""
     xx, yy, xy = moments
     half, turned = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     major, minor = 4 * np.sqrt(half + turned), 4 * np.sqrt(half - turned)

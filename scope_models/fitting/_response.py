@@ -175,7 +175,6 @@ class _Shares:
                 yield pixel, number, [pair for pair in own if pair[1].unit[number]]
 
     def update(self):
-        """Fit the polynomials of all pixels to the cadences that are not held out."""
         learned, order = self.used & ~self.held, self.order
         phi, rest = self.basis()[0][learned], self.residual()[learned]
         squares, counts = np.zeros_like(self.width), np.zeros_like(self.width)
@@ -214,7 +213,7 @@ class _Shares:
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
     def responses(self):
-        """Typical share of each pixel over that of the PSF, less 1, ``(p,)``."""
+        """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
         for k, image in enumerate(self.images):
             flux = np.median(self.problem.fluxes(self.state, k))
@@ -232,7 +231,6 @@ class _Shares:
         return normal, right[..., None], design
 
     def improve(self):
-        """Fit the cadences, by one step."""
         normal, right, _ = self.equations()
         step = solved(normal, right)[..., 0]
         step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
@@ -368,7 +366,6 @@ def _errors(shares):
 
 
 def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
-    """Return a file's fit of the PSF with the response of its pixels."""
     problem, used, held = shares.problem, shares.used, shares.held
     modeled = problem.flux - shares.residual()
     given = problem, shares.state, errors, number, modeled, shares.weight
@@ -397,7 +394,6 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
 
 
 def _effects(shares, stamp):
-    """Yield the effect of each star of a file."""
     problem, state, pixels = shares.problem, shares.state, shares.problem.stamps[stamp].pixels
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
     for number, k in enumerate(stars):

@@ -7,7 +7,10 @@ from scipy.linalg import block_diag
 
 from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, Problem, State
 
-__all__ = ["Errors", "Solution", "covariances", "expected_gain", "psf_covariance", "solve"]
+__all__ = [
+    "Errors", "Solution", "covariances", "deviation", "expected_gain", "psf_covariance", "solve",
+    "star_columns",
+]  # fmt: skip
 
 # Damping at the start, where less lets a PSF that is far off become a point, from which nothing
 # leads back, and from the result of a fit; its limits; the least one after a step that failed.
@@ -31,8 +34,6 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Covariances, each with the uncertainty of all other parameters."""
-
     shared: np.ndarray  # (m, m): shared parameters and interpixel map
     cadence: np.ndarray  # (n, k, k): parameters of each cadence
     relative: np.ndarray  # (n, k, k): ... less their mean over all cadences
@@ -56,7 +57,6 @@ def _directions(problem, held, only):
 
 
 def _damped(matrix, damping):
-    """A stack of matrices with their diagonals enlarged."""
     index = np.arange(matrix.shape[-1])
     # A cadence whose star has no flux does not constrain its position.
     diagonal = matrix[..., index, index] * ((1 + damping) * (1 + 1e-12))
@@ -225,3 +225,26 @@ def psf_covariance(solution, response):
     turn = np.linalg.svd(root / prior[:, None])
     root = root @ turn.Vh.T / np.hypot(1.0, turn.S)
     return root @ root.T
+
+
+def star_columns(problem, state, errors, star):
+    """Position and flux of a star, and their errors, by name."""
+    n, k, m = errors.mixed.shape
+    by = np.zeros((2, n, k + m))
+    for axis, column, derivative in problem.position_terms(state, star):
+        by[axis, :, column] = derivative
+    own, common = by[..., :k], by[..., k:]
+    variances = np.einsum("ani,nij,anj->an", own, errors.cadence, own)
+    variances += 2 * np.einsum("ani,nij,anj->an", own, errors.mixed, common)
+    variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
+    (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
+    x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
+    flux_err = np.hypot(deviation(errors, problem.flux_number(star)), flux * errors.common[star])
+    return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
+
+
+def deviation(errors, column):
+    k = errors.cadence.shape[1]
+    if column < k:
+        return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))
+    return np.full(len(errors.cadence), max(errors.shared[column - k, column - k], 0.0) ** 0.5)

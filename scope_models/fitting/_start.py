@@ -207,7 +207,6 @@ def located(data, target, others, own):
 
 
 def find_stars(flux):
-    """Return places ``(k, 2)`` of maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
     if not good.any():
         return np.zeros((0, 2))
@@ -225,7 +224,6 @@ def find_stars(flux):
 
 
 def make_prf(psf, sensitivity, empirical):
-    """The model of a star, with the fixed parameters of the fit, by arguments of `fit_tpf`."""
     if isinstance(psf, (models.PRF, models.TabulatedPRF)):
         return _given_prf(psf, sensitivity, empirical)
     known = models.SensitivityPolynomial, models.DiffusionSensitivity, type(None)
@@ -251,7 +249,6 @@ def make_prf(psf, sensitivity, empirical):
 
 
 def _given_prf(prf, sensitivity, order):
-    """A PRF of the caller; a table times a correction of that order."""
     prf = prf if isinstance(prf, models.PRF) else models.PRF(prf)
     if sensitivity is not None:
         raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
@@ -280,7 +277,6 @@ def make_rich_prfs(sensitivity):
 
 
 def with_response(prf):
-    """The same model with a response within pixels of second order."""
     other = models.PRF(prf.psf * models.SensitivityPolynomial([1, 0, 0], [1, 0, 0]))
     for name in prf.param_names:
         getattr(other, name).bounds = getattr(prf, name).bounds
@@ -351,7 +347,6 @@ def is_faint(data, target, other):
 
 
 def linear_start(problem, state):
-    """Fit fluxes and backgrounds, in which the model is linear."""
     shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
     files = problem.slices if problem.options.background == "cadence" else ()
     columns = [*map(problem.flux_number, range(len(problem.stars)))]

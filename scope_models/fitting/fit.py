@@ -12,11 +12,18 @@ from astropy.stats import mad_std
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import _doubts, _start
+from scope_models.fitting import _start
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, expected_gain, solve
-from scope_models.fitting.result import make_results
+from scope_models.fitting.result import (
+    CERTAIN,
+    LARGEST_FLUX,
+    LARGEST_SCATTER,
+    doubts_of,
+    is_measured,
+    make_results,
+)
 from scope_models.io.pixels import read_pixels
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -178,7 +185,7 @@ def fit_tpf(
             fits = fit_response(problem, solution, fits, report)
     with one_thread:
         models = _of_models(response, tried, solution, fits[0])
-        for doubt in chain(models, *map(_doubts.doubts_of, fits)):
+        for doubt in chain(models, *map(doubts_of, fits)):
             warnings.warn(doubt, FitWarning, stacklevel=2)
     return tuple(fits) if several else fits[0]
 
@@ -188,7 +195,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     left = any_psf and any_response and sensitivity is None and problem.options.focus is None
     # Whether the flux where the fit starts is above the noise of a place.
     flux = problem.fluxes(_start.starting_state(problem))
-    seen = np.median(flux) > _doubts.CERTAIN * mad_std(flux) / np.sqrt(len(flux))
+    seen = np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
         candidates = _candidates(problem, sensitivity, simple, any_psf, any_response)
@@ -296,12 +303,10 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
 
 
 def _of_all(solution, problem, steps, most):
-    """Fit all cadences of a problem, from the solution for some of them."""
     return _fitted(replace(solution.problem, stamps=problem.stamps), steps, most, solution)
 
 
 def _of_models(response, tried, solution, fit):
-    """Doubts that other models raise: a response within pixels, and another flux."""
     if gain := response == "psf" and _hidden_gain(solution):
         yield (
             f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
@@ -330,7 +335,7 @@ def _with_response(solution, steps, n_cadences):
     powers, errors = other.problem.prf.response_powers, np.sqrt(np.diag(covariances(other).shared))
     errors = errors * np.sqrt(len(other.problem.flux) / n_cadences)
     measured = all(
-        _doubts.is_measured(powers[parameter.name], error)
+        is_measured(powers[parameter.name], error)
         for parameter, error in zip(other.problem.parameters, errors, strict=False)
         if parameter.kind == "response"
     )
@@ -338,7 +343,6 @@ def _with_response(solution, steps, n_cadences):
 
 
 def _richer(solution):
-    """Return problem and state with a response within pixels, of 1."""
     problem, state = solution.problem, solution.state
     richer = _with(problem, _start.with_response(problem.prf))
     values = {parameter.name: parameter.start for parameter in richer.parameters}
@@ -356,13 +360,13 @@ def _hidden_gain(solution):
     if given is not None or not _is_true(solution):
         return 0.0
     gain = expected_gain(*_richer(solution))
-    return gain if gain > _doubts.CERTAIN**2 else 0.0
+    return gain if gain > CERTAIN**2 else 0.0
 
 
 def _is_true(solution, *, strictly=False):
     """Whether the model describes the pixels, with a response as its prior has it."""
     problem, prior = solution.problem, solution.problem.options.interpixel
-    agrees = not prior or np.std(solution.state.interpixel) <= _doubts.LARGEST_SCATTER * prior
+    agrees = not prior or np.std(solution.state.interpixel) <= LARGEST_SCATTER * prior
     excess = solution.equations.cost / problem.dof - 1
     enough = solution.converged and excess < _EXCESS * np.sqrt(2 / problem.dof)
     return problem.misfit == 1.0 and agrees and (enough or not strictly)
@@ -373,16 +377,14 @@ def _ends(solution):
 
 
 def _is_strange(solution):
-    """Whether the flux is not in the pixels."""
     problem, state = solution.problem, solution.state
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     images = problem.unit_images(state, slice(None, None, _SOME))
     inside = np.median(images.sum(axis=1)) >= _LEAST_INSIDE
-    return not (inside and 0 < np.median(problem.fluxes(state)) < _doubts.LARGEST_FLUX * abs(light))
+    return not (inside and 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light))
 
 
 def _rank(solution):
-    """Key that sorts models, the best first."""
     problem = solution.problem
     # A response between pixels describes errors of a PSF that is wrong.
     absorbs = bool(problem.options.interpixel) and not _is_true(solution)
@@ -391,7 +393,6 @@ def _rank(solution):
 
 
 def _make_problem(series, places, prf, flux_err, options, motion):
-    """The `Problem` and the detectors of the files."""
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
