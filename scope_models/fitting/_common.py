@@ -20,10 +20,9 @@ __all__ = [
 
 # Degrees of freedom of Student's t of residuals: a prior for tails.
 _TAILS = 4.0
-# Steps at most, change of the positions, in their errors, that ends them, and steps of the noise.
+# Most steps, change of the positions that ends them, in their errors, and steps of the noise.
 _MOST_STEPS, _SMALL_STEP, _STEPS_OF_NOISE = 60, 0.1, 10
-# Standard deviations of maps about 1: of one that is 1, and of fitted positions, with errors of the
-# PSF.
+# Standard deviations of maps: of one that is 1, and of fitted positions, by errors of the PSF.
 _NO_MAP, _MAP_ERROR = 1e-6, 0.3
 # Prior: what POS_CORR of real files deviates by, pixels, and relative.
 _POS_CORR_ERROR, _POS_CORR_SCALE = 0.003, 0.01
@@ -117,7 +116,7 @@ class Track:
     cadenceno: np.ndarray  # (n,)
     time: np.ndarray  # (n,), days
     xy: np.ndarray  # (n, 2), px; NaN where unknown
-    error: np.ndarray  # (n, 2), px: the least that they can have
+    error: np.ndarray  # (n, 2), px: the least
     map_error: float  # standard deviation of the map about 1
 
 
@@ -159,7 +158,7 @@ class _Fit:
             self._fit_track(k)
 
     def _arms(self, offset):
-        """What a star's displacement is linear in: pointing, roll and scale, ``(k, 2, 4)``."""
+        """Displacements by pointing, roll and scale, ``(k, 2, 4)``."""
         (x, y), one, zero = offset.T / self.size, np.ones(len(offset)), np.zeros(len(offset))
         return np.stack([[one, zero, -y, x], [zero, one, x, y]]).transpose(2, 0, 1)
 
@@ -171,7 +170,7 @@ class _Fit:
             self.prior = np.maximum(np.mean(self.states**2 + variance, axis=0), 1e-16)
             for k in range(len(self.xy)):
                 self._fit_track(k)
-            # the scatter of the maps of tracks of a kind, of which the prior counts as one
+            # the scatter of the maps of a kind, of which the prior counts as one
             maps = self.maps[..., :2]
             square = np.sum((maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
             for error in np.unique(self.given_error):

@@ -19,8 +19,8 @@ __all__ = [
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
-# Mean squared residual from which errors are scaled, change of scale that is none, and standard
-# deviations of the light-weighted mean that are chance.
+# Mean squared residual from which errors are scaled, change of scale that is none, and chance, in
+# standard deviations of the mean.
 UNTRUE, _SAME, _CHANCE = 1.5, 0.02, 3.0
 # Median of the square of a standard normal deviate.
 MEDIAN_SQUARE = 0.4549364
@@ -30,14 +30,13 @@ _FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
 # Standard deviation of positions that are a map of POS_CORR, pixels: a tenth of the photon noise of
 # a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest steps of positions and of shapes, and of a star from its first guess in all, pixels.
+# Largest step of a position or shape, and way of a star from its first guess, pixels.
 LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
 # Narrower PSFs are the same to a pixel, tighter correlations only cost time, and charge that
 # diffuses farther is not collected in pixels.
 _LEAST_WIDTH = 0.1
 _LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
-# Standard deviations of coefficients of an empirical term, whose first one is 1, and of a table's
-# correction.
+# Standard deviations of coefficients of an empirical term, whose first is 1, and of a correction.
 _PRIORS = {"coefficient": 10.0, "correction": 0.1}
 
 
@@ -102,7 +101,7 @@ class Settings(FitOptions):
     empirical: int = integer(0, 0)
     interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
     positions: str = "start"
-    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
+    scale_error: float = _SCALE_PRIOR  # of the path
 
     def __post_init__(self):
         super().__post_init__()
@@ -192,11 +191,11 @@ class Problem:
     prf: object  # its parameters hold starts, bounds and fixed values
     options: Settings
     stars: tuple  # the first one without offsets
-    span: tuple  # first and last time that the focus covers, days
-    center: tuple  # where the first star is in the linear map to other files
+    span: tuple  # first and last time of the focus, days
+    center: tuple  # where the linear map to other files has the first star
     target: np.ndarray | None = None  # position of the first star, if given
     error_scale: float = 1.0  # factor of all errors in the fit
-    misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
+    misfit: float = 1.0  # ... of the errors that are quoted
 
     @property
     def data(self):
@@ -255,7 +254,7 @@ class Problem:
 
     @cached_property
     def free_shared(self):
-        """Directions of the shared parameters, whose last are the focus, that keep its mean."""
+        """Directions of the shared parameters that keep the mean of the focus, the last ones."""
         n, mean = self.focus_basis.shape[1], self.focus_basis.mean(axis=0)
         return block_diag(np.eye(self.n_shared - n), null_space(mean[None]) if n else np.eye(0))
 
@@ -368,7 +367,7 @@ class Problem:
         untrue = typical > UNTRUE or bright > UNTRUE + by_chance
         misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
         if self.options.loss == "soft_l1":
-            # In units of larger errors, cosmic rays in dark pixels are not outliers.
+            # With larger errors cosmic rays in dark pixels would not be outliers.
             scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
         same = max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) <= _SAME
         return self if same else replace(self, error_scale=scale, misfit=misfit)
@@ -526,7 +525,7 @@ class Problem:
         gradient[:s] -= precision * deviation
         cost = precision @ deviation**2
         if p and np.isfinite(self.options.interpixel):
-            # The prior does not constrain a common factor of all pixels: that is the flux.
+            # A common factor of all pixels is the flux.
             deviation = state.interpixel - state.interpixel.mean()
             precision = self.options.interpixel**-2
             cost += precision * np.sum(deviation**2)

@@ -21,38 +21,35 @@ from scope_models.fitting.result import fitted_fields
 
 __all__ = ["fit_response"]
 
-# Degrees in position and time that are tried in turn; most coefficients in a pixel of many stars:
-# time goes with their square.
+# Degrees in position and time, in turn; most coefficients of a pixel: time goes with their square.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 _MOST_TERMS = 450
-# Multiplications in all steps, half of them for the choice: 30 s, for one core makes 0.8 to 1.0e10
-# a second with 6 to 108 terms if a step's cadences take as many as the shares of 80 terms.
+# Multiplications in all steps, half of them for the choice: 30 s, for one core makes 1e10 a second
+# if a step's cadences take as many as the shares of 80 terms.
 _MOST_WORK, _CADENCE_TERMS = 3e11, 80
-# Steps on each rung, by how much the next one must lower the cost of held-out cadences, and their
-# cost per pixel from which a model is far off and may need more terms at once.
+# Steps on each rung; relative gain of held-out cadences from it, unless a pixel costs so much that
+# the model is far off and may need more terms at once.
 _TRIAL_STEPS, _LEAST_GAIN, _FAR = 4, 1e-2, 2.0
-# Every tenth cadence is held out, from the sixth on; cadences that a response needs.
+# Every tenth cadence is held out, from the sixth on; fewest in all.
 _EVERY, _FIRST, _FEWEST = 10, 5, 20
-# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most; where
-# positions are free.
+# Standard deviation about POS_CORR at most, pixels and parts of the motion; of free positions.
 _POSITION_ERROR, _POSITION_PART, _LOOSE = 0.1, 0.5, 10.0
-# First standard deviation of the shares, relative to a pixel's share plus a part of all light that
-# every pixel may hold; smallest one.
+# First standard deviation of a share, relative to it plus a part of all light; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
-# Pixels beyond so many errors are hits, unless more than this part of the pixel's values is.
-# Cadences beyond so many robust standard deviations of chi-squared are outliers.
+# Errors beyond which a pixel is hit, unless more than a part of its values is; robust standard
+# deviations of chi-squared beyond which a cadence is an outlier.
 _HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
-# Motion that agrees with POS_CORR so well is put on its scale.
+# Agreement of motion that is put on the scale of POS_CORR.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
-# Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its
-# own scatter; steps of the last rung at most, for one star and for each of many.
+# Largest step of a position, pixels; change of the cost that is none, relative and in its scatter;
+# most last steps, for one star and for each of many.
 _MOVE, _SAME, _SMALL, _MOST_STEPS, _FEW_STEPS = 0.1, 3e-4, 0.01, 80, 10
-# Part of the range of positions and pixels by which the polynomials reach farther; percentiles.
+# Reach of the polynomials beyond percentiles of positions, in parts of their range and pixels.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
-# Pixels whose light is less than so many errors hardly count in the sum that is the flux: wide sums
-# of faint stars are noisy, and narrow ones of bright stars follow errors of the PSF and the focus.
+# Errors below which light hardly counts in the sum that is the flux: wide sums of faint stars are
+# noisy, narrow ones of bright stars follow errors of PSF and focus.
 _FAINT = 40.0
-# A star that has moved by less has the image of first order, pixels; cadences at once.
+# Motion up to which an image is of first order, pixels; cadences at once.
 _TAYLOR, _CHUNK = 1e-3, 512
 # Residual, in errors, from which the cost grows only linearly.
 _SOFT = 3.0
@@ -62,13 +59,13 @@ _SOFT = 3.0
 class _Image:
     """A star in the ``p`` pixels of its file."""
 
-    pixels: slice  # which of all fitted ones these are
-    psf: np.ndarray  # (3, n, p): the PSF of unit flux where the star was, derivatives by place
+    pixels: slice  # of all fitted ones
+    psf: np.ndarray  # (3, n, p): unit image where the star was, and derivatives by place
     size: np.ndarray  # (p,): typical share
-    unit: np.ndarray  # (p,): scale of its change, 0 where a star has too little light to learn from
+    unit: np.ndarray  # (p,): scale of its change, 0 where there is too little light to learn from
     parts: np.ndarray  # (p,): effect of a common factor
     share: np.ndarray  # (p,): weights of the sum that stays the PSF's
-    values: np.ndarray  # (k, p): coefficients of the polynomials
+    values: np.ndarray  # (k, p): coefficients
 
 
 class _Shares:
@@ -203,7 +200,7 @@ class _Shares:
                 scaled = (value**2 + variance) / image.unit[number] ** 2
                 squares += np.bincount(order, scaled, len(squares))
                 counts += np.bincount(order, minlength=len(squares))
-        # A sum of the shares is the PSF's, and no change is common to all pixels.
+        # A sum of shares is the PSF's, and no change is common to all pixels.
         for image in self.images:
             values, seen = image.values, image.unit > 0
             if self.problem.options.background == "cadence":
@@ -355,7 +352,7 @@ def _errors(shares):
         columns = np.hstack([flux[:, None] * phi for flux, _ in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
         covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
-    # The gauge fixes the part common to a star's pixels: its error is the prior's.
+    # The gauge fixes what a star's pixels have in common: its error is the prior's.
     common = np.linalg.norm(phi * shares.width[shares.order], axis=1) * [
         [np.linalg.norm(image.share * image.unit) / (image.size @ image.share)]
         for image in shares.images
@@ -399,7 +396,7 @@ def _effects(shares, stamp):
     for number, k in enumerate(stars):
         image = np.zeros((len(shares.terms), *pixels.shape))
         image[:, pixels] = shares.images[k].values
-        # The polynomials are those of the first star's position, wherever the others are.
+        # All polynomials are those of the first star's position.
         away = (problem.xy(state, k) - problem.xy(state))[0]
         columns, rows = (tuple(np.add(shares.ranges[i], away[i]).tolist()) for i in (0, 1))
         yield PixelShares(image, columns, rows, shares.ranges[2], *shares.degrees, star=number)

@@ -12,14 +12,14 @@ __all__ = [
     "star_columns",
 ]  # fmt: skip
 
-# Damping at the start, where less lets a PSF that is far off become a point, from which nothing
-# leads back, and from the result of a fit; its limits; the least one after a step that failed.
+# First damping, where less lets a PSF become a point, from which nothing leads back, and that from
+# the result of a fit; its limits; the least one after a step that failed.
 _FIRST_DAMPING, _LATER_DAMPING = 1e-1, 1e-3
 _LEAST_DAMPING, _LARGEST_DAMPING, _SOBER = 1e-8, 1e8, 1e-5
-# A fit ends where an undamped step would lower the cost by less, absolutely or relatively: all
-# parameters together are within a tenth of a standard deviation of the minimum. Last: of a guess.
+# Gain of an undamped step where a fit ends, a tenth of a standard deviation of all parameters from
+# the minimum: absolute, relative, and relative of a guess.
 _ABSOLUTE, _RELATIVE, _LOOSE = 1e-2, 1e-6, 1e-4
-# Relative eigenvalues below which directions are not determined, and gradients rounding errors.
+# Relative eigenvalues of directions that are not determined, and whose gradients are rounding.
 _FLOOR, _KNOWN = 1e-13, 1e-11
 
 
@@ -34,11 +34,11 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    shared: np.ndarray  # (m, m): shared parameters and interpixel map
-    cadence: np.ndarray  # (n, k, k): parameters of each cadence
+    shared: np.ndarray  # (m, m): covariance of shared parameters and interpixel map
+    cadence: np.ndarray  # (n, k, k): of the parameters of each cadence
     relative: np.ndarray  # (n, k, k): ... less their mean over all cadences
-    mixed: np.ndarray  # (n, k, m): parameters of each cadence with the shared ones
-    common: np.ndarray  # (stars, n or 1): relative error of fluxes that cadences have in common
+    mixed: np.ndarray  # (n, k, m): ... with the shared ones
+    common: np.ndarray  # (stars, n or 1): relative error that fluxes have in common
 
 
 def _outward(problem, shared, direction):
@@ -48,7 +48,7 @@ def _outward(problem, shared, direction):
 
 
 def _directions(problem, held, only):
-    """Directions in which shared parameters and map may move, ``(m, r)``."""
+    """Directions of shared parameters and map that are free, ``(m, r)``."""
     response = problem.free_response
     if only is not None:
         held, response = held | ~only, response[:, :0]
@@ -66,7 +66,7 @@ def _damped(matrix, damping):
 
 
 def _eliminate(equations, damping=0.0):
-    """Matrix and gradient of the shared parameters alone, and what gives those of the cadences."""
+    """Matrix and gradient of the shared parameters, and what gives those of the cadences."""
     factor = np.linalg.cholesky(_damped(equations.cadence, damping))
     right = np.concatenate([equations.mixed, equations.cadence_gradient[..., None]], axis=2)
     right = np.linalg.solve(factor, right)
@@ -107,9 +107,9 @@ def expected_gain(problem, state, equations=None, only=None):
 
 
 def _step(problem, state, equations, only, damping):
-    """The state after one damped step and its expected gain, or None if there is no step."""
+    """The state after one damped step, or None, and its expected gain."""
     try:
-        # The cadences follow the shared parameters; only far from the minimum are they held too.
+        # The cadences follow the shared parameters, but far from the minimum.
         held = 0.0 if problem.options.positions == "path" else damping * min(damping, 1.0)
         matrix, gradient, factor, right = _eliminate(equations, held)
     except np.linalg.LinAlgError:
@@ -139,7 +139,6 @@ def _step(problem, state, equations, only, damping):
     trial = State(new, state.interpixel + shared[s:], cadence)
     if not all(np.isfinite(values).all() for values in vars(trial).values()):
         return None, 0.0
-    # By how much the cost would be lower if the equations held everywhere.
     own = cadence - state.cadence
     gain = 2 * (equations.shared_gradient @ shared + np.sum(equations.cadence_gradient * own))
     gain -= shared @ equations.shared @ shared + 2 * np.sum(own * (equations.mixed @ shared))
