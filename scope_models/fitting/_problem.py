@@ -1,6 +1,6 @@
 """The joint model of all pixels and cadences: residuals, normal equations, priors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -38,6 +38,10 @@ _LEAST_WIDTH = 0.1
 _LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
 # Standard deviations of coefficients of an empirical term, whose first is 1, and of a correction.
 _PRIORS = {"coefficient": 10.0, "correction": 0.1}
+
+
+def _choice(*choices):
+    return field(default=choices[0], metadata={"check": checked_choice, "choices": choices})
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -78,12 +82,12 @@ class FitOptions(Value):
     3.0
     """
 
-    background: str = "cadence"
+    background: str = _choice("cadence", "constant", "none")
     focus: float | None = number(None, "d", positive=True)
-    loss: str = "linear"
+    loss: str = _choice("linear", "soft_l1")
     loss_scale: float = number(3.0, positive=True)
     max_steps: int = integer(200, 1)
-    neighbor_flux: str = "auto"
+    neighbor_flux: str = _choice("auto", "cadence", "constant")
     position_error: float = number(0.01, "pix", positive=True)
     saturation: bool = True
 
@@ -91,21 +95,17 @@ class FitOptions(Value):
         check_fields(self)
         if not isinstance(self.saturation, bool | np.bool_):
             raise TypeError(f"`saturation` must be True or False, got {self.saturation!r}")
-        checked_choice("background", self.background, ("cadence", "constant", "none"))
-        checked_choice("loss", self.loss, ("linear", "soft_l1"))
-        checked_choice("neighbor_flux", self.neighbor_flux, ("auto", "cadence", "constant"))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Settings(FitOptions):
     empirical: int = integer(0, 0)
-    interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
-    positions: str = "start"
+    interpixel: float  # 0 fixes the response at 1, infinity means no prior
+    positions: str = _choice("free", "start", "prior", "path")
     scale_error: float = _SCALE_PRIOR  # of the path
 
     def __post_init__(self):
         super().__post_init__()
-        checked_choice("positions", self.positions, ("free", "start", "prior", "path"))
         if self.interpixel != np.inf:
             object.__setattr__(self, "interpixel", checked_number("interpixel", self.interpixel))
 
@@ -406,7 +406,7 @@ class Problem:
     def fluxes(self, state, star=0):
         return state.column(self.flux_number(star))
 
-    def backgrounds(self, state, stamp=0):
+    def backgrounds(self, state, stamp):
         number = self.background_number(stamp)
         return np.zeros(len(state.cadence)) if number is None else state.column(number)
 

@@ -62,8 +62,8 @@ def fit_tpf(
     Parameters
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
-        The pixels, less FLUX_BKG: the object, or a file, whose cadences with bad quality flags are
-        left out as lightkurve does. Several files of one CCD share PSF, sensitivity, cadences, and
+        The pixels, less FLUX_BKG: the object, or a file, without cadences that lightkurve leaves
+        out by their quality flags. Several files of one CCD share PSF, sensitivity, cadences, and
         the motion up to a linear map with a prior of 0.3 about 1.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
@@ -94,10 +94,10 @@ def fit_tpf(
         by the median image, is 1; 0 fixes it at 1. None: 0.01 if the model then describes the
         pixels with a response that agrees with it; else 0.
     positions : {"start", "free", "prior", "path"} or Motion, optional
-        What POS_CORR is used for, through an affine map: the first guess of free positions,
-        nothing, a prior, or the positions themselves. The map is fitted too for the last two,
-        with a prior of 0.02 about the scale 1. A motion is a prior in place of POS_CORR, with its
-        errors or else ``position_error``.
+        What an affine map of POS_CORR is: the first guess of free positions, nothing, a prior, or
+        the positions themselves. For the last two the map is fitted, with a prior of 0.02 about
+        the scale 1. A motion is a prior in place of POS_CORR, with its errors or else
+        ``position_error``.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
         of a star's light is that plus a polynomial of fitted position and slow time, by least
@@ -113,8 +113,7 @@ def fit_tpf(
     Returns
     -------
     TPFFit or tuple of TPFFit
-        The fit; for several files one of each. A warning says if it has not converged, as where a
-        parameter is at a bound.
+        The fit; for several files one of each. With a parameter at a bound it has not converged.
 
     Raises
     ------
@@ -124,19 +123,18 @@ def fit_tpf(
     Warns
     -----
     FitWarning
-        If data are left out, no star is seen, the fit has not converged, the motion does not
-        constrain the sensitivity, a response within pixels that is not in the model would lower
-        chi-squared by more than 25, or the model does not describe the pixels.
+        If data are left out, no star is seen, the fit has not converged, the model does not
+        describe the pixels, or the motion does not constrain the sensitivity; or if one that is not
+        in the model would lower chi-squared by more than 25.
 
     Notes
     -----
     Pixel values that are not finite, and cadences with too few of them, are left out.
 
     Where the typical squared residual of all pixels, or of those with light, from medians, is above
-    1.5 squared errors, the larger one's root, ``error_scale``, scales up all errors, so that priors
-    keep their weight and the errors of the parameters grow. With ``FitOptions(loss="soft_l1")`` all
-    pixels alike scale the errors of the fit, and ``error_scale`` only those of the result.
-    Chi-squared is always that of the given errors.
+    1.5 squared errors, the larger one's root, ``error_scale``, scales all errors, but not
+    chi-squared. With ``FitOptions(loss="soft_l1")`` all pixels alike scale the errors of the fit,
+    and ``error_scale`` only those of the result.
 
     Examples
     --------
