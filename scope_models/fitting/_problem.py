@@ -477,15 +477,14 @@ class Problem:
                 shared[range(s, m), range(s, m)] += np.sum(light**2, axis=0)
                 gradient[s:] += np.sum(light * residual, axis=0)
                 mixed[part, :, s:] = (design[:k] * light).transpose(1, 0, 2)
-        if self.position_error is not None:
+        if (error := self.position_error) is not None:
             path = self.basis @ state.shared[self.affine].reshape(2, 3).T
             residual, design = path - state.cadence[:, :2], np.zeros((k + s, n, 2))
             for axis in (0, 1):
                 first = k + self.affine.start + 3 * axis
                 design[axis, :, axis], design[first : first + 3, :, axis] = 1, -self.basis.T
-            residual, design = residual / self.position_error, design / self.position_error
-            cost += np.sum(residual**2)
-            add(slice(None), residual, design)
+            cost += np.sum((residual / error) ** 2)
+            add(slice(None), residual / error, design / error)
         shared[s:, :s] = shared[:s, s:].T
         return NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
 

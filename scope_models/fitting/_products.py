@@ -301,7 +301,6 @@ def light_of(fit, cube):
 
 
 def smoothed(time, values):
-    """Running mean of a running median."""
     step = np.median(np.diff(time)) if len(time) > 1 else 1.0
     size = min(2 * round(SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
     values = median_filter(values, size, mode="nearest")

@@ -86,9 +86,8 @@ def read_data(series, flux_err, limit, moved, n_free):
     if np.sum(usable) < 3:
         pos_corr = pos_err = None
     else:  # straight lines over unusable cadences
-        number = np.arange(len(usable))
-        lines = [np.interp(number, number[usable], column[usable]) for column in pos_corr.T]
-        pos_corr = np.column_stack(lines)
+        x, at = np.arange(len(usable)), np.flatnonzero(usable)
+        pos_corr = np.column_stack([np.interp(x, at, column[at]) for column in pos_corr.T])
         if pos_err is not None:
             pos_err = np.where(usable[:, None], pos_err, np.inf)
     return PixelData(**vars(series[cadences]) | {
@@ -99,13 +98,12 @@ def read_data(series, flux_err, limit, moved, n_free):
 
 def _drop_bad_errors(flux, error):
     bad = np.isfinite(flux) & ~(np.isfinite(error) & (error > 0))
-    if not bad.any():
-        return
     if bad.sum() == np.isfinite(flux).sum():
         message = "`flux_err` must be positive: the file has no errors; pass them as flux_err=..."
         raise ValueError(message)
-    message = f"{bad.sum()} pixel values without a positive error are left out"
-    warnings.warn(message, FitWarning, stacklevel=5)
+    if bad.any():
+        message = f"{bad.sum()} pixel values without a positive error are left out"
+        warnings.warn(message, FitWarning, stacklevel=5)
     flux[bad] = np.nan
 
 
@@ -333,7 +331,7 @@ def centroids(data, place=None):
     peak = flux.argmax(axis=1)
     near = np.abs(rows - rows[peak, None]) <= _NEAR
     near &= np.abs(columns - columns[peak, None]) <= _NEAR
-    light = np.where(near, np.maximum(flux - _BRIGHT * flux.max(axis=1, keepdims=True), 0.0), 0.0)
+    light = near * np.maximum(flux - _BRIGHT * flux.max(axis=1, keepdims=True), 0.0)
     light[light.sum(axis=1) <= 0] = np.maximum(image, 0.0)
     light /= light.sum(axis=1, keepdims=True)
     return np.column_stack([light @ columns, light @ rows])

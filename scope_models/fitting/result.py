@@ -78,8 +78,8 @@ class TPFFit(Value):
     observed, observed_err, fitted : ndarray of shape (n, ny, nx)
         Data, errors and model, e-/s; NaN where not used.
     statistics : mapping
-        chi2, of the pixels without priors; n_data, their number, and n_parameters; error_scale, by
-        which errors were scaled up where the model is not true; converged and n_steps;
+        ``chi2``, of the pixels without priors; n_data, their number, and n_parameters; error_scale,
+        by which errors were scaled up where the model is not true; converged and n_steps;
         chi2_held_out, per degree of freedom of the held-out cadences, NaN without a response.
     time_format : str
         "bkjd" or "btjd".
@@ -420,7 +420,7 @@ class TPFFit(Value):
         from scope_models.plotting import plot_fit
 
         offset, density, _ = self.psf_image()
-        border = (offset[-1] - offset[0] + offset[1] - offset[0]) / 2
+        border = offset[-1] + (offset[1] - offset[0]) / 2
         width, error = self.psf_shape()["value", "error"][0]
         seen = np.isfinite(self.observed).any(axis=0)
         cubes = self.observed, self.fitted, self.residual
