@@ -8,6 +8,7 @@ from astropy.stats import mad_std
 from astropy.table import Table
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import least_squares
+from scipy.stats import f as f_distribution
 
 from scope_models._arrays import native
 from scope_models._checks import checked_choice
@@ -26,8 +27,8 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "CADENCE_UNITS", "SMOOTHING_DAYS", "STATISTICS", "FittedStar", "cadence_table",
-    "degrees_of_freedom", "light_of", "make_scene", "mapped", "parameter_table", "propagated",
+    "CADENCE_UNITS", "STATISTICS", "FittedStar", "cadence_table", "degrees_of_freedom",
+    "described", "followed", "light_of", "make_scene", "mapped", "parameter_table", "propagated",
     "psf_shape", "read_fit", "sensitivity_profiles", "smoothed", "with_slopes", "write_fit",
 ]  # fmt: skip
 
@@ -50,10 +51,12 @@ _TRUE_CHI2 = 1.1
 _CREATOR, _VERSION = "scope_models fit", 2
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
-SMOOTHING_DAYS = 0.5
+_SMOOTHING_DAYS = 0.5
 # Pixels below this part of the brightest one have the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
+# Probability of what is not by chance.
+_CHANCE = 0.01
 # Bands of frequency in which power is compared with the noise.
 _BANDS = 40
 # Step of a derivative, in errors of the parameter, and at most.
@@ -302,9 +305,37 @@ def light_of(fit, cube):
 
 def smoothed(time, values):
     step = np.median(np.diff(time)) if len(time) > 1 else 1.0
-    size = min(2 * round(SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
+    size = min(2 * round(_SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
     values = median_filter(values, size, mode="nearest")
     return uniform_filter1d(values, size, mode="nearest")
+
+
+def described(fit):
+    """Cadences that are no outliers."""
+    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+
+
+def followed(fit):
+    """Return the rms of fast flux that a quadratic form of the position explains, 0 if by chance.
+
+    Spans of the smoothing count as independent.
+    """
+    good = described(fit)
+    if good.sum() < _FEWEST_CADENCES:
+        return 0.0
+    time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
+    x, y = x - x.mean(), y - y.mean()
+    columns = [values - smoothed(time, values) for values in (flux, x, y, x * x, x * y, y * y)]
+    fast, *terms = (column - column.mean() for column in columns)
+    terms = np.column_stack(terms)
+    part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
+    free = max(min(np.ptp(time) / _SMOOTHING_DAYS, len(time)) - terms.shape[1] - 1, 1)
+    noise = np.mean(fit.flux_scatter[good] ** 2)
+    rest = max(np.mean((fast - part) ** 2) - noise, 0.0)
+    expected = terms.shape[1] * (noise / len(time) + rest / free)
+    ratio = np.mean(part**2) / max(expected, 1e-300)
+    by_chance = f_distribution.sf(ratio, terms.shape[1], free) >= _CHANCE
+    return 0.0 if by_chance else float(part.std())
 
 
 def denoised(fit, values, error):

@@ -10,7 +10,6 @@ import numpy as np
 from astropy import units as u
 from astropy.table import Table
 from astropy.time import Time
-from scipy.stats import f as f_distribution
 
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer, checked_number
@@ -40,10 +39,8 @@ LARGEST_SCATTER = 3.0
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 # Flux, in parts of the light in the pixels, that a model has invented.
 LARGEST_FLUX = 2.0
-# Errors beyond which a flux is negative, or light; probability of what is not by chance.
-CERTAIN, _CHANCE = 5.0, 0.01
-# Cadences from which the flux is compared with the position.
-_FEWEST = 20
+# Errors beyond which a flux is negative, or light.
+CERTAIN = 5.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -333,7 +330,7 @@ class TPFFit(Value):
         from lightkurve import LightCurve
 
         unit = u.electron / u.s
-        error = np.hypot(self.flux_scatter, followed(self) if self.response else 0.0)
+        error = np.hypot(self.flux_scatter, _products.followed(self) if self.response else 0.0)
         time = Time(self.time, format=self.time_format, scale="tdb")
         curve = LightCurve(time=time, flux=self.flux * unit, flux_err=error * unit)
         curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
@@ -528,7 +525,12 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
 
 def doubts_of(fit):
     """Return a message for each doubt about a fit."""
-    return [*_of_parameters(fit), *_of_pixels(fit), *_of_positions(fit), *_of_flux(fit)]
+    return [
+        *_parameter_doubts(fit),
+        *_pixel_doubts(fit),
+        *_position_doubts(fit),
+        *_flux_doubts(fit),
+    ]
 
 
 def is_measured(power, error):
@@ -536,7 +538,7 @@ def is_measured(power, error):
     return error * 0.5 ** power[1] < _LARGEST_EDGE_ERROR
 
 
-def _of_parameters(fit):
+def _parameter_doubts(fit):
     if not fit.converged and not fit.at_bounds:
         yield (
             f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
@@ -567,7 +569,7 @@ def _of_parameters(fit):
             )
 
 
-def _of_pixels(fit):
+def _pixel_doubts(fit):
     prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
     if prior and scatter > LARGEST_SCATTER * prior:
         yield (
@@ -598,11 +600,7 @@ def _of_pixels(fit):
             )
 
 
-def _described(fit):
-    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
-
-
-def _of_positions(fit):
+def _position_doubts(fit):
     remedy = "" if fit.options["positions"] == "path" else 'positions="path" or '
     for axis, slope, size in zip("xy", fit.path_scale(), fit.shape[::-1], strict=True):
         position, error = getattr(fit, axis), np.median(getattr(fit, f"{axis}_err"))
@@ -620,7 +618,7 @@ def _of_positions(fit):
             yield f"in {lost} cadences the fitted {axis} ends at its bounds, off the pixels"
 
 
-def _of_flux(fit):
+def _flux_doubts(fit):
     # A PSF that leaves the whole flux open, as on a small stamp, hides no star.
     light, error = np.mean(fit.flux), np.sqrt(np.mean(fit.flux_scatter**2) / len(fit.flux))
     if abs(light) < LARGEST_SCATTER * error:
@@ -637,7 +635,7 @@ def _of_flux(fit):
     seen = np.isfinite(fit.observed)
     whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
     fluxes = np.column_stack([fit.flux, _products.light_of(fit, fit.observed)])
-    steps = np.diff(fluxes[whole & _described(fit)], axis=0)
+    steps = np.diff(fluxes[whole & _products.described(fit)], axis=0)
     ours, pixels = np.sqrt(np.sum(steps**2, axis=0) / max(len(steps), 1))
     error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
     if ours > LARGEST_FLUX * np.hypot(pixels, error):
@@ -645,33 +643,8 @@ def _of_flux(fit):
             f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
             f"the pixels by {pixels:.3g}: the data allow several solutions"
         )
-    if (explained := followed(fit)) > LARGEST_SCATTER * error:
+    if (explained := _products.followed(fit)) > LARGEST_SCATTER * error:
         yield (
             f"the flux varies with the position of the star by {explained:.3g} e-/s rms, but its "
             f"error is {error:.3g}: the model does not separate the two"
         )
-
-
-def followed(fit):
-    """Return the rms of fast flux that a quadratic form of the position explains, 0 if by chance.
-
-    Spans of the smoothing count as independent.
-    """
-    good = _described(fit)
-    if good.sum() < _FEWEST:
-        return 0.0
-    time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
-    x, y = x - x.mean(), y - y.mean()
-    columns = [
-        values - _products.smoothed(time, values) for values in (flux, x, y, x * x, x * y, y * y)
-    ]
-    fast, *terms = (column - column.mean() for column in columns)
-    terms = np.column_stack(terms)
-    part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
-    free = max(min(np.ptp(time) / _products.SMOOTHING_DAYS, len(time)) - terms.shape[1] - 1, 1)
-    noise = np.mean(fit.flux_scatter[good] ** 2)
-    rest = max(np.mean((fast - part) ** 2) - noise, 0.0)
-    expected = terms.shape[1] * (noise / len(time) + rest / free)
-    ratio = np.mean(part**2) / max(expected, 1e-300)
-    by_chance = f_distribution.sf(ratio, terms.shape[1], free) >= _CHANCE
-    return 0.0 if by_chance else float(part.std())
