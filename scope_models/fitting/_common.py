@@ -202,7 +202,7 @@ class _Fit:
         design = np.column_stack([states @ arms.T, np.ones(len(states))])
         spread = arms @ covariance @ arms.T
         weight = tails[:, None] * self.precision[k] / factor
-        normal = np.einsum("na,ni,nj->aij", weight, design, design, optimize=True)
+        normal = design.T @ (weight.T[..., None] * design)
         normal[:, :2, :2] += np.tensordot(weight, spread, axes=(0, 0))
         cross = normal[:, :2, 2:]
         marginal = normal[:, :2, :2] - cross * cross.transpose(0, 2, 1) / normal[:, 2:, 2:]
@@ -212,8 +212,8 @@ class _Fit:
         slopes = found[:, :2]
         evidence = np.linalg.slogdet(np.eye(2) + marginal / prior)[1].sum()
         evidence += prior * np.sum((slopes - np.eye(2)) ** 2)
-        rest = (xy - design @ found.T) ** 2
-        rest += np.einsum("ai,nij,aj->na", slopes, spread, slopes, optimize=True)
+        products = slopes[:, :, None] * slopes[:, None]
+        rest = (xy - design @ found.T) ** 2 + np.tensordot(spread, products, ((1, 2), (1, 2)))
         return found, np.sum(rest * self.precision[k], axis=1), -evidence / 2
 
     def _fit_track(self, k):

@@ -428,7 +428,7 @@ def _moments_of_shares(fit):
     shares = fit.model.unit_images(fit.shape, x, y) + fit.response[0].changes([x], [y], [time])[0]
     used = np.isfinite(fit.fitted).any(axis=0)
     # Pixels scatter about it by a part of their light, and of all light in faint ones.
-    weight = used / (np.abs(shares) + _EVERYWHERE)
+    weight = 1 / (np.abs(shares) + _EVERYWHERE)
     gaussian = PRF(BivariateGaussianPSF())
 
     def residual(values):
