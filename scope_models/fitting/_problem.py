@@ -57,7 +57,7 @@ class FitOptions(Value):
         scale, to first order, with a cubic spline of time of mean 1 and with a prior of 5 %. None:
         the width is constant.
     loss : {"linear", "soft_l1"}, optional
-        Least squares, or, for cosmic rays, linear growth above ``loss_scale``.
+        Least squares, or linear growth above ``loss_scale``, for data with cosmic rays.
     loss_scale : float, optional
         In standard deviations.
     max_steps : int, optional

@@ -62,9 +62,9 @@ def fit_tpf(
     Parameters
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
-        The pixels, less FLUX_BKG: the object, or a file, without cadences that lightkurve leaves
-        out by their quality flags. Several files of one CCD share PSF, sensitivity, cadences, and
-        the motion up to a linear map with a prior of 0.3 about 1.
+        The pixels, without the background of FLUX_BKG: the object, or a file, whose cadences with
+        bad quality flags are left out as lightkurve does. Several files of one CCD share PSF,
+        sensitivity, cadences, and the motion up to a linear map with a prior of 0.3 about 1.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
@@ -73,14 +73,16 @@ def fit_tpf(
         empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted; constants
-        are always fixed at 1. None: 1; or, if ``psf`` is None too, of second order where only that
-        describes the pixels, and the motion measures it to 1.25 % at a pixel's edge.
+        are always fixed, because they are the flux. None: 1; or, if ``psf`` is None too, of second
+        order where only that describes the pixels, and the motion measures it to 1.25 % at a
+        pixel's edge.
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
         the local maxima of the median image above a twentieth of the brightest pixel and ten
-        errors. By default the target alone: the maximum in the pipeline's aperture, of several one
-        at the file's coordinates. For several files, a sequence of them.
+        errors, the brightest first after the target. By default the target alone: the maximum in
+        the pipeline's aperture, of several one at the file's coordinates. For several files, a
+        sequence of them.
     neighbors : as ``stars``, optional
         Positions of the other stars only, even brighter ones, without a target among places on the
         sky. "find": the maxima more than 1.5 px from the target.
@@ -102,7 +104,7 @@ def fit_tpf(
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
         of a star's light is that plus a polynomial of fitted position and slow time, by least
         squares without ``sensitivity``, ``focus`` and ``interpixel``. "auto": "pixels" for 100
-        cadences and more that no PSF describes, if all these are left to the data; else "psf".
+        cadences and more that no PSF describes, if these and ``psf`` are None; else "psf".
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     options : FitOptions, optional
