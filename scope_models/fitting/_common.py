@@ -20,18 +20,16 @@ __all__ = [
 
 # Degrees of freedom of Student's t of residuals: a prior for tails.
 _TAILS = 4.0
-# Steps at most, and change of the positions, in their errors, that ends them: tolerances.
+# Most steps, change of the positions that ends them, in their errors, and steps of the noise.
 _MOST_STEPS, _SMALL_STEP, _STEPS_OF_NOISE = 60, 0.1, 10
-# Standard deviation of a map that is 1.
-_NO_MAP = 1e-6
-# Prior: map of fitted positions about 1, from errors of the PSF: `_problem._MAP_PRIOR`.
-_MAP_ERROR = 0.3
+# Standard deviations of maps: of one that is 1, and of fitted positions, by errors of the PSF.
+_NO_MAP, _MAP_ERROR = 1e-6, 0.3
 # Prior: what POS_CORR of real files deviates by, pixels, and relative.
 _POS_CORR_ERROR, _POS_CORR_SCALE = 0.003, 0.01
 
 
 def common_motion(tpfs):
-    """Return the motion of the CCD with the most files; see `scope_models.Motion.from_tpfs`."""
+    """Return the motion of the CCD with the most files, as `Motion.from_tpfs`."""
     motions, left = common_motions(tpfs)
     if not (motions or left):
         raise ValueError("`tpfs` is empty")
@@ -39,7 +37,7 @@ def common_motion(tpfs):
         raise ValueError(f"no file has positions: {_listed(left)}")
     label, motion = max(motions.items(), key=lambda item: item[1].meta["n_files"])
     left = left | dict(motion.meta["left_out"])
-    for other in motions.keys() - {label}:
+    for other in sorted(motions.keys() - {label}):
         left[other] = f"another CCD than {label}, {motions[other].meta['n_files']} files"
     if left:
         what = "left out" if motion.meta["stars"] else "no two stars agree"
@@ -81,7 +79,7 @@ def common_motions(tpfs, *, pixels=True):
 
 
 def pos_corr_track(name, series):
-    """Return the positions of POS_CORR of a star; None without."""
+    """Return the positions of a star by POS_CORR; None without."""
     known = False if series.pos_corr is None else usable_positions(series.pos_corr)
     if not np.any(known):
         return None
@@ -95,7 +93,6 @@ def _place_of(series):
 
 
 def _tracks(name, series, *, pixels):
-    """Return the positions of a star as its POS_CORR and its pixels have them."""
     tracks = list(filter(None, [pos_corr_track(name, series)]))
     if pixels:
         with warnings.catch_warnings(action="ignore"):
@@ -119,7 +116,7 @@ class Track:
     cadenceno: np.ndarray  # (n,)
     time: np.ndarray  # (n,), days
     xy: np.ndarray  # (n, 2), px; NaN where unknown
-    error: np.ndarray  # (n, 2), px: the least that they can have
+    error: np.ndarray  # (n, 2), px: the least
     map_error: float  # standard deviation of the map about 1
 
 
@@ -133,7 +130,7 @@ class _Fit:
     def __init__(self, tracks):
         self.number = np.unique(np.concatenate([track.cadenceno for track in tracks]))
         n, shape = len(tracks), (len(self.number), 2)
-        self.xy, self.precision = np.zeros((n, *shape)), np.zeros((n, *shape))
+        self.xy, self.precision = np.zeros((2, n, *shape))
         self.time = np.full(shape[0], np.inf)
         for k, track in enumerate(tracks):
             known = np.isfinite(track.xy + track.error).all(axis=1) & np.isfinite(track.time)
@@ -148,8 +145,7 @@ class _Fit:
         self.size = np.sqrt(np.mean(np.sum(offset**2, axis=1))) or 1.0
         self.arms = self._arms(offset)
         self.given_error = np.array([track.map_error for track in tracks])
-        self.map_error = self.given_error.copy()
-        self.maps, self.origin = np.stack([np.eye(2)] * n), np.zeros((n, 2))
+        self.map_error, self.maps = self.given_error.copy(), np.zeros((n, 2, 3))
         self.factor, self.tails = np.ones(n), self.seen.astype(float)
         # begin with the median of all tracks
         middle = np.ma.median(np.ma.array(self.xy, mask=self.precision == 0), axis=0).filled(0)
@@ -162,12 +158,11 @@ class _Fit:
             self._fit_track(k)
 
     def _arms(self, offset):
-        """What a star's displacement is linear in: pointing, roll and scale, ``(k, 2, 4)``."""
+        """Displacements by pointing, roll and scale, ``(k, 2, 4)``."""
         (x, y), one, zero = offset.T / self.size, np.ones(len(offset)), np.zeros(len(offset))
         return np.stack([[one, zero, -y, x], [zero, one, x, y]]).transpose(2, 0, 1)
 
     def run(self):
-        """Fit until the states stay."""
         for _ in range(_MOST_STEPS):
             before = self.states
             self.states, self.covariance = self.cadences(np.ones(len(self.xy), dtype=bool))
@@ -175,15 +170,15 @@ class _Fit:
             self.prior = np.maximum(np.mean(self.states**2 + variance, axis=0), 1e-16)
             for k in range(len(self.xy)):
                 self._fit_track(k)
-            # the scatter of the maps of tracks of a kind, of which the prior counts as one
-            square = np.sum((self.maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
+            # the scatter of the maps of a kind, of which the prior counts as one
+            maps = self.maps[..., :2]
+            square = np.sum((maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
             for error in np.unique(self.given_error):
                 kind = self.given_error == error
                 self.map_error[kind] = np.sqrt((error**2 + square[kind].sum()) / (1 + kind.sum()))
             # all maps times one matrix are the same model: their priors choose it
-            weight = self.map_error[:, None, None] ** -2.0
-            turned = self.maps.transpose(0, 2, 1) * weight
-            self.maps = self.maps @ np.linalg.solve((turned @ self.maps).sum(0), turned.sum(0))
+            turned = maps.transpose(0, 2, 1) * self.map_error[:, None, None] ** -2.0
+            self.maps[..., :2] = maps @ np.linalg.solve((turned @ maps).sum(0), turned.sum(0))
             moved = np.abs(self.states - before)[:, :2] ** 2 / variance[:, :2]
             if np.median(moved) < _SMALL_STEP**2:
                 break
@@ -193,46 +188,40 @@ class _Fit:
         """Return the states, ``(n, 4)``, and their covariance, from some of the tracks."""
         weight = self.tails[used] / self.factor[used, None]
         weight = weight[..., None] * self.precision[used]  # (k, n, 2)
-        rows = self.maps[used] @ self.arms[used]  # (k, 2, 4)
+        rows = self.maps[used, :, :2] @ self.arms[used]  # (k, 2, 4)
         squares = np.einsum("kai,kaj->kaij", rows, rows)
         normal = np.einsum("kna,kaij->nij", weight, squares, optimize=True)
-        moved = weight * (self.xy - self.origin[:, None])[used]
+        moved = weight * (self.xy - self.maps[:, None, :, 2])[used]
         right = np.einsum("kna,kai->ni", moved, rows, optimize=True)
         covariance = np.linalg.inv(normal + np.diag(1 / self.prior))
         return (covariance @ right[..., None])[..., 0], covariance
 
     def _regress(self, k, states, covariance, map_error, tails, factor):
-        """Return the map and origin of a track, its squared residuals, and the evidence's prior."""
-        moved = states @ self.arms[k].T
-        spread = self.arms[k] @ covariance @ self.arms[k].T
-        design = np.column_stack([moved, np.ones(len(moved))])
-        values, squares, precision, evidence = [], [], map_error**-2.0, 0.0
-        for axis in (0, 1):
-            weight = tails * self.precision[k, :, axis] / factor
-            normal = (design * weight[:, None]).T @ design
-            normal[:2, :2] += np.tensordot(weight, spread, axes=1)
-            marginal = normal[:2, :2] - np.outer(normal[:2, 2], normal[:2, 2]) / normal[2, 2]
-            evidence -= np.linalg.slogdet(np.eye(2) + marginal / precision)[1] / 2
-            right = design.T @ (weight * self.xy[k, :, axis])
-            normal[[0, 1], [0, 1]] += precision
-            right[axis] += precision
-            value = np.linalg.solve(normal, right)
-            evidence -= precision * np.sum((value[:2] - np.eye(2)[axis]) ** 2) / 2
-            rest = (self.xy[k, :, axis] - design @ value) ** 2
-            rest += np.einsum("i,nij,j->n", value[:2], spread, value[:2])
-            squares.append(rest * self.precision[k, :, axis])
-            values.append(value)
-        values = np.array(values)
-        return values[:, :2], values[:, 2], np.sum(squares, axis=0), evidence
+        """Return map and origin of a track, its squared residuals, and the evidence's prior."""
+        arms, xy, prior = self.arms[k], self.xy[k], map_error**-2.0
+        design = np.column_stack([states @ arms.T, np.ones(len(states))])
+        spread = arms @ covariance @ arms.T
+        weight = tails[:, None] * self.precision[k] / factor
+        normal = design.T @ (weight.T[..., None] * design)
+        normal[:, :2, :2] += np.tensordot(weight, spread, axes=(0, 0))
+        cross = normal[:, :2, 2:]
+        marginal = normal[:, :2, :2] - cross * cross.transpose(0, 2, 1) / normal[:, 2:, 2:]
+        normal[:, [0, 1], [0, 1]] += prior
+        right = (weight * xy).T @ design + prior * np.eye(2, 3)
+        found = np.linalg.solve(normal, right[..., None])[..., 0]
+        slopes = found[:, :2]
+        evidence = np.linalg.slogdet(np.eye(2) + marginal / prior)[1].sum()
+        evidence += prior * np.sum((slopes - np.eye(2)) ** 2)
+        products = slopes[:, :, None] * slopes[:, None]
+        rest = (xy - design @ found.T) ** 2 + np.tensordot(spread, products, ((1, 2), (1, 2)))
+        return found, np.sum(rest * self.precision[k], axis=1), -evidence / 2
 
     def _fit_track(self, k):
-        """Fit map, origin, factor of the variance, and weights of the tails of a track."""
         given = self.states, self.covariance, self.map_error[k], self.tails[k], self.factor[k]
-        self.maps[k], self.origin[k], squares, _ = self._regress(k, *given)
+        self.maps[k], squares, _ = self._regress(k, *given)
         self.factor[k], self.tails[k] = self._noise(k, squares, self.factor[k])
 
     def _noise(self, k, squares, factor):
-        """Return the factor of the variance, and the weights, from residuals."""
         seen = self.seen[k]
         tails = np.where(seen, (_TAILS + 2) / (_TAILS + squares / factor), 0.0)
         return max(np.sum(tails * squares) / (2 * seen.sum()), 1.0), tails
@@ -247,13 +236,12 @@ class _Fit:
         """Return the logarithm of the evidence of a track, and the factor of its variance."""
         factor, tails = self.factor[k], self.tails[k]
         for _ in range(_STEPS_OF_NOISE):
-            *_, squares, prior = self._regress(k, states, covariance, map_error, tails, factor)
+            _, squares, prior = self._regress(k, states, covariance, map_error, tails, factor)
             factor, tails = self._noise(k, squares, factor)
         density = -np.log(factor) - (_TAILS / 2 + 1) * np.log1p(squares / (_TAILS * factor))
         return density[self.seen[k]].sum() + prior, factor
 
     def motion(self, time_format):
-        """Return the motion about the place that is known best."""
         light = np.einsum("kn,kna->k", self.tails / self.factor[:, None], self.precision)
         middle, known = light @ self.place / light.sum(), self.seen.any(axis=0)
         # x, y, roll and scale
@@ -266,9 +254,9 @@ class _Fit:
 
 
 def fit_tracks(tracks, time_format="bkjd"):
-    """Return the common motion of stars of a CCD, and which tracks that of the others lacks.
+    """Return the common motion of stars of a CCD, and which tracks the other stars disagree with.
 
-    Tracks of a name are of a star. Those that are not explained do not count, unless all are so.
+    These do not count, unless all are so.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
     others = [names != name for name in names]
@@ -279,7 +267,7 @@ def fit_tracks(tracks, time_format="bkjd"):
 
 
 def explains(motion, track, series):
-    """Whether a motion explains the positions of the star of a `PixelSeries`, its track."""
+    """Whether a motion explains the track of the star of a `PixelSeries`."""
     moved, error = motion.offsets(series)
     known = np.isfinite(moved)
     fit = _Fit([replace(track, xy=np.where(known, track.xy, np.nan))])

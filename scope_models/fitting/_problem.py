@@ -1,9 +1,8 @@
 """The joint model of all pixels and cadences: residuals, normal equations, priors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -11,29 +10,38 @@ from scipy.linalg import block_diag, null_space
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
-from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
     "LARGEST_MOVE", "MEDIAN_SQUARE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations",
-    "Problem", "Settings", "State", "median_image",
+    "Problem", "Settings", "State", "fit_parameters", "median_image",
 ]  # fmt: skip
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
-# Mean squared residual from which the errors are scaled, change of scale that is none, and standard
-# deviations of the light-weighted mean that are chance.
+# Mean squared residual from which errors are scaled, change of scale that is none, and chance, in
+# standard deviations of the mean.
 UNTRUE, _SAME, _CHANCE = 1.5, 0.02, 3.0
 # Median of the square of a standard normal deviate.
 MEDIAN_SQUARE = 0.4549364
-# Standard deviations before the fit: of the relative change of the PSF's width, of the scale of the
-# motion about that of POS_CORR, and of the motion in a file about that in the first one, relative.
+# Relative standard deviations before the fit: of the PSF's width, and of the motion about that of
+# POS_CORR and of the first file.
 _FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
-# Standard deviation of positions about POS_CORR that are nothing but its map, pixels: a tenth of
-# the photon noise of a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
+# Standard deviation of positions that are a map of POS_CORR, pixels: a tenth of the photon noise of
+# a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest step of a position, and how far another star may be from its first guess, pixels.
+# Largest step of a position or shape, and way of a star from its first guess, pixels.
 LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
+# Narrower PSFs are the same to a pixel, tighter correlations only cost time, and charge that
+# diffuses farther is not collected in pixels.
+_LEAST_WIDTH = 0.1
+_LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
+# Standard deviations of coefficients of an empirical term, whose first is 1, and of a correction.
+_PRIORS = {"coefficient": 10.0, "correction": 0.1}
+
+
+def _choice(*choices):
+    return field(default=choices[0], metadata={"check": checked_choice, "choices": choices})
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -46,21 +54,19 @@ class FitOptions(Value):
         Background left in the pixels.
     focus : float or `~astropy.units.Quantity`, optional
         Shortest time, days, in which the width of the PSF changes: all distances from the star
-        scale with a cubic spline of time, of mean 1 and with a prior of 5 %, to first order in
-        the change, so that widths err by about its variance (1e-4 if it is 1 %).
-        None: the width is constant.
+        scale, to first order, with a cubic spline of time of mean 1 and with a prior of 5 %. None:
+        the width is constant.
     loss : {"linear", "soft_l1"}, optional
-        Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
-        for data with cosmic rays.
+        Least squares, or linear growth above ``loss_scale``, for data with cosmic rays.
     loss_scale : float, optional
         In standard deviations.
     max_steps : int, optional
         Largest number of steps of each stage.
     neighbor_flux : {"auto", "cadence", "constant"}, optional
-        Whether the other stars have a flux in each cadence, or one for all of them; "auto": one
-        for stars fainter than a tenth of the target.
+        Whether other stars have a flux in each cadence, or one for all; "auto": one below a tenth
+        of the target.
     position_error : float or `~astropy.units.Quantity`, optional
-        Standard deviation of the positions about the path, pixels, for ``positions="prior"``.
+        Standard deviation about the path, pixels, for ``positions="prior"``.
     saturation : bool, optional
         Whether columns with pixels near the depth of their wells are left out.
 
@@ -76,12 +82,12 @@ class FitOptions(Value):
     3.0
     """
 
-    background: str = "cadence"
+    background: str = _choice("cadence", "constant", "none")
     focus: float | None = number(None, "d", positive=True)
-    loss: str = "linear"
+    loss: str = _choice("linear", "soft_l1")
     loss_scale: float = number(3.0, positive=True)
     max_steps: int = integer(200, 1)
-    neighbor_flux: str = "auto"
+    neighbor_flux: str = _choice("auto", "cadence", "constant")
     position_error: float = number(0.01, "pix", positive=True)
     saturation: bool = True
 
@@ -89,47 +95,80 @@ class FitOptions(Value):
         check_fields(self)
         if not isinstance(self.saturation, bool | np.bool_):
             raise TypeError(f"`saturation` must be True or False, got {self.saturation!r}")
-        checked_choice("background", self.background, ("cadence", "constant", "none"))
-        checked_choice("loss", self.loss, ("linear", "soft_l1"))
-        checked_choice("neighbor_flux", self.neighbor_flux, ("auto", "cadence", "constant"))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Settings(FitOptions):
-    """All options of a fit, as `~scope_models.fit_tpf` describes them."""
-
     empirical: int = integer(0, 0)
-    interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
-    positions: str = "start"
-    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
+    interpixel: float  # 0 fixes the response at 1, infinity means no prior
+    positions: str = _choice("free", "start", "prior", "path")
+    scale_error: float = _SCALE_PRIOR  # of the path
 
     def __post_init__(self):
         super().__post_init__()
-        checked_choice("positions", self.positions, ("free", "start", "prior", "path"))
         if self.interpixel != np.inf:
             object.__setattr__(self, "interpixel", checked_number("interpixel", self.interpixel))
+
+
+@dataclass(frozen=True)
+class FitParameter:
+    name: str
+    kind: str  # as in `PRF.parameter_kinds`, or position, slope, flux, focus
+    lower: float = -np.inf
+    upper: float = np.inf
+    largest_step: float = np.inf
+    relative: bool = False  # whether that is a part of its value
+    prior: float = np.inf  # standard deviation before the fit
+    center: float = 0.0  # ... and mean
+    start: float = 0.0
+
+
+def fit_parameters(prf, shape):
+    """Return the free shared parameters of a PRF on an image, without flux and position.
+
+    Kinds narrow bounds: a component wider than half the stamp is background, and no term of a
+    response takes away all of it at a pixel's edge, or doubles it.
+    """
+    numbers, result = numbers_of(prf), []
+    for name in prf.param_names[3:]:
+        parameter, kind = getattr(prf, name), prf.parameter_kinds.get(name, "other")
+        if parameter.fixed:
+            continue
+        lower, upper = _LIMITS.get(kind, (-np.inf, np.inf))
+        if kind == "width":
+            lower, upper = _LEAST_WIDTH, max(shape) / 2
+        elif kind == "response":
+            upper = 2.0 ** prf.response_powers[name][1]
+            lower = -upper
+        low, high = parameter.bounds
+        lower = lower if low is None else max(low, lower)
+        upper = upper if high is None else min(high, upper)
+        relative = kind == "width" or (kind == "other" and lower > 0)
+        moves = relative or kind in {"correlation", "fraction", "offset", "diffusion"}
+        step, prior = LARGEST_MOVE if moves else np.inf, _PRIORS.get(kind, np.inf)
+        given = lower, upper, step, relative, prior
+        result.append(FitParameter(name, kind, *given, start=numbers[name]))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
 class FitStar:
     """A star of a fit: its first guess in pixels of its stamp, less that of the first star."""
 
-    x: float = 0.0
-    y: float = 0.0
-    stamp: int = 0  # which file it is in
+    x: float
+    y: float
+    stamp: int  # which file it is in
     constant: bool = False  # whether its flux is the same in all cadences
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Values of all free parameters."""
-
     shared: np.ndarray  # (s,): what `Problem.parameters` lists
     interpixel: np.ndarray  # (p,): response of each fitted pixel less 1
     cadence: np.ndarray  # (n, k): what `Problem.columns` names
 
     def column(self, number):
-        """Values of a column, ``(n,)``: those of the cadences come first, then the shared ones."""
+        """Values by cadence, ``(n,)``, of a number of `Problem.numbers`."""
         n, k = self.cadence.shape
         return self.cadence[:, number] if number < k else np.full(n, self.shared[number - k])
 
@@ -148,30 +187,27 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and model of a fit."""
-
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
     options: Settings
     stars: tuple  # the first one without offsets
-    span: tuple  # first and last time that the focus covers, days
-    center: tuple  # where the first star is in the linear map to other files
+    span: tuple  # first and last time of the focus, days
+    center: tuple  # where the linear map to other files has the first star
     target: np.ndarray | None = None  # position of the first star, if given
     error_scale: float = 1.0  # factor of all errors in the fit
-    misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
+    misfit: float = 1.0  # ... of the errors that are quoted
 
     @property
     def data(self):
-        """The pixels of the first file."""
         return self.stamps[0]
 
     def _joined(self, name):
-        """The fitted pixels of all files, shape ``(n, p)``; NaN where there are no data."""
+        """The fitted pixels of all files, ``(n, p)``; NaN where there are no data."""
         return np.concatenate([getattr(s, name)[:, s.pixels] for s in self.stamps], axis=1)
 
     @cached_property
     def flux(self):
-        """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
+        """Fluxes of the fitted pixels, ``(n, p)``, 0 where there are none."""
         return np.nan_to_num(self._joined("flux"))
 
     @cached_property
@@ -180,12 +216,10 @@ class Problem:
 
     @cached_property
     def weight(self):
-        """Inverse errors of the fitted pixels, shape ``(n, p)``, 0 where there are no data."""
         return self._given_weight / self.error_scale
 
     @cached_property
     def slices(self):
-        """Which of the fitted pixels belong to each file."""
         ends = [0, *np.cumsum([s.pixels.sum() for s in self.stamps]).tolist()]
         return [slice(start, end) for start, end in pairwise(ends)]
 
@@ -204,13 +238,13 @@ class Problem:
 
     @cached_property
     def basis(self):
-        """What the path is linear in, shape ``(n, 3)``."""
+        """What the path is linear in, ``(n, 3)``."""
         offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
         return np.column_stack([np.ones(len(offsets)), offsets])
 
     @cached_property
     def focus_basis(self):
-        """Cubic splines of time that add up to the relative width, shape ``(n, k)``."""
+        """Cubic splines of time that add up to the relative width, ``(n, k)``."""
         if self.options.focus is None:
             return np.zeros((len(self.flux), 0))
         first, last = self.span
@@ -220,17 +254,17 @@ class Problem:
 
     @cached_property
     def free_shared(self):
-        """Directions of the shared parameters, whose last are the focus, that keep its mean."""
+        """Directions of the shared parameters that keep the mean of the focus, the last ones."""
         n, mean = self.focus_basis.shape[1], self.focus_basis.mean(axis=0)
         return block_diag(np.eye(self.n_shared - n), null_space(mean[None]) if n else np.eye(0))
 
     def focus(self, state):
-        """Relative width of the PSF less 1, shape ``(n,)``."""
+        """Relative width of the PSF less 1, ``(n,)``."""
         return self.focus_basis @ state.shared[self.n_shared - self.focus_basis.shape[1] :]
 
     @property
     def position_error(self):
-        """Error of the map of POS_CORR, pixels: a number, by cadence and axis, or None."""
+        """Error of positions by POS_CORR, pixels: a number, by cadence and axis, or None."""
         if self.data.pos_err is not None:
             return np.maximum(self.data.pos_err, _PATH_ERROR)
         errors = {"path": _PATH_ERROR, "prior": self.options.position_error}
@@ -238,17 +272,14 @@ class Problem:
 
     @property
     def n_pixels(self):
-        """Number of pixels with a response of their own."""
         return self.slices[-1].stop if self.options.interpixel else 0
 
     @cached_property
     def _of_shape(self):
-        """The free parameters of the PRF, which come first."""
         return fit_parameters(self.prf, np.max([s.shape for s in self.stamps], axis=0))
 
     @property
     def affine(self):
-        """Which of the shared parameters are the path, if it has any: a slice."""
         return slice(len(self._of_shape), len(self._of_shape) + 6)
 
     @cached_property
@@ -281,33 +312,28 @@ class Problem:
 
     @cached_property
     def columns(self):
-        """Names of the parameters of a cadence."""
         fluxes = (_flux_of(k) for k, star in enumerate(self.stars) if not star.constant)
         number = len(self.stamps) if self.options.background == "cadence" else 0
         return ("x", "y", *fluxes, *map(_background_of, range(number)))
 
     @cached_property
-    def index(self):
-        """Columns of fluxes and backgrounds; slices of the places of stars and motions of files."""
-        names, k = (*self.columns, *(p.name for p in self.parameters)), len(self.columns)
-        number = {name: i for i, name in enumerate(names)}
-        stars, files = range(len(self.stars)), range(len(self.stamps))
-        places = [number.get(f"x_star_{i}", 0) - k for i in stars]
-        maps = [number.get(f"x_by_x_{i}", 0) - k for i in files]
-        backgrounds = (number.get(_background_of(i)) for i in files)
-        return SimpleNamespace(
-            fluxes=[number[_flux_of(i)] for i in stars],
-            backgrounds=[c for c in backgrounds if c is not None],
-            places=[slice(i, i + 2) for i in places], maps=[slice(i, i + 4) for i in maps],
-        )  # fmt: skip
+    def numbers(self):
+        """Numbers of the parameters by name: those of a cadence come first, then shared ones."""
+        names = (*self.columns, *(p.name for p in self.parameters))
+        return {name: i for i, name in enumerate(names)}
+
+    def flux_number(self, star):
+        return self.numbers[_flux_of(star)]
+
+    def background_number(self, stamp):
+        """Number of a file's background, None without one."""
+        return self.numbers.get(_background_of(stamp))
 
     @cached_property
     def bounds(self):
-        """Bounds of the shared parameters, ``(2, s)``."""
         return np.array([(p.lower, p.upper) for p in self.parameters]).reshape(-1, 2).T
 
     def at_bounds(self, state):
-        """Which of the shared parameters are at a bound, ``(s,)``."""
         return (state.shared <= self.bounds[0]) | (state.shared >= self.bounds[1])
 
     @cached_property
@@ -317,7 +343,7 @@ class Problem:
 
     @cached_property
     def _light_parts(self):
-        """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
+        """Parts of the light in the fitted pixels, of sum 1, ``(p,)``."""
         light = np.maximum(median_image(self._joined("flux")), 0.0)
         light = light if light.any() else np.ones(len(light))
         return light / light.sum()
@@ -341,7 +367,7 @@ class Problem:
         untrue = typical > UNTRUE or bright > UNTRUE + by_chance
         misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
         if self.options.loss == "soft_l1":
-            # In units of larger errors, cosmic rays in dark pixels are not outliers.
+            # With larger errors cosmic rays in dark pixels would not be outliers.
             scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
         same = max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) <= _SAME
         return self if same else replace(self, error_scale=scale, misfit=misfit)
@@ -350,43 +376,45 @@ class Problem:
         return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
 
     def _map(self, state, stamp):
-        """How a file moves with the first one, shape ``(2, 2)``."""
-        return state.shared[self.index.maps[stamp]].reshape(2, 2) if stamp else np.eye(2)
+        """How a file moves with the first one, ``(2, 2)``."""
+        if not stamp:
+            return np.eye(2)
+        first = self.numbers[f"x_by_x_{stamp}"] - len(self.columns)
+        return state.shared[first : first + 4].reshape(2, 2)
 
     def xy(self, state, star=0):
-        """Positions of a star in its stamp, shape ``(n, 2)``."""
+        """Positions of a star in its stamp, ``(n, 2)``."""
         if star == 0:
             return state.cadence[:, :2]
         moved = (state.cadence[:, :2] - self.center) @ self._map(state, self.stars[star].stamp).T
-        return moved + self.center + state.shared[self.index.places[star]]
+        first = self.numbers[f"x_star_{star}"] - len(self.columns)
+        return moved + self.center + state.shared[first : first + 2]
 
     def position_terms(self, state, star):
-        """Yield what moves a star: ``(axis, column, derivative)``, the last of shape ``(n,)``."""
-        stamp, one, k = self.stars[star].stamp, np.ones(len(self.flux)), len(self.columns)
+        """Yield what moves a star: axis, number of a parameter, and derivative, ``(n,)``."""
+        stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
         moved = self.xy(state) - self.center
-        for axis, slopes in enumerate(self._map(state, stamp)):
+        for axis, (name, slopes) in enumerate(zip("xy", self._map(state, stamp), strict=True)):
             for of in (0, 1):
                 if slopes[of]:
                     yield axis, of, slopes[of] * one
                 if stamp:
-                    yield axis, k + self.index.maps[stamp].start + 2 * axis + of, moved[:, of]
+                    yield axis, self.numbers[f"{name}_by_{'xy'[of]}_{stamp}"], moved[:, of]
             if star:
-                yield axis, k + self.index.places[star].start + axis, one
+                yield axis, self.numbers[f"{name}_star_{star}"], one
 
     def fluxes(self, state, star=0):
-        """Fluxes of a star, shape ``(n,)``."""
-        return state.column(self.index.fluxes[star])
+        return state.column(self.flux_number(star))
 
-    def backgrounds(self, state, stamp=0):
-        """Backgrounds of a file, shape ``(n,)``."""
-        columns = self.index.backgrounds
-        return state.column(columns[stamp]) if columns else np.zeros(len(state.cadence))
+    def backgrounds(self, state, stamp):
+        number = self.background_number(stamp)
+        return np.zeros(len(state.cadence)) if number is None else state.column(number)
 
     def chunks(self):
         return [slice(i, i + _CHUNK) for i in range(0, len(self.flux), _CHUNK)]
 
     def unit_images(self, state, part, star=0, *, derivatives=False):
-        """Unit images at a star's pixels, ``(m, p)``; and derivatives by place, shape and focus."""
+        """Unit images of a star, ``(m, p)``, and derivatives by place, shape and focus."""
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
         widens = self.options.focus is not None
@@ -403,7 +431,6 @@ class Problem:
         return (image, [by[name][:, stamp.pixels] for name in needed]) if derivatives else image
 
     def model(self, state):
-        """Model of the fitted pixels, shape ``(n, p)``."""
         model = np.zeros(self.flux.shape)
         for part in self.chunks():
             for k, star in enumerate(self.stars):
@@ -450,20 +477,19 @@ class Problem:
                 shared[range(s, m), range(s, m)] += np.sum(light**2, axis=0)
                 gradient[s:] += np.sum(light * residual, axis=0)
                 mixed[part, :, s:] = (design[:k] * light).transpose(1, 0, 2)
-        if self.position_error is not None:
+        if (error := self.position_error) is not None:
             path = self.basis @ state.shared[self.affine].reshape(2, 3).T
             residual, design = path - state.cadence[:, :2], np.zeros((k + s, n, 2))
             for axis in (0, 1):
                 first = k + self.affine.start + 3 * axis
                 design[axis, :, axis], design[first : first + 3, :, axis] = 1, -self.basis.T
-            residual, design = residual / self.position_error, design / self.position_error
-            cost += np.sum(residual**2)
-            add(slice(None), residual, design)
+            cost += np.sum((residual / error) ** 2)
+            add(slice(None), residual / error, design / error)
         shared[s:, :s] = shared[:s, s:].T
         return NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
 
     def _linearize(self, state, part):
-        """Residuals ``(m, p)``, their derivatives by all columns, and the light of the stars."""
+        """Residuals ``(m, p)``, derivatives of the model by all parameters, light of the stars."""
         residual, k = self.flux[part].copy(), len(self.columns)
         design = np.zeros((k + self.n_shared, *residual.shape))
         light = np.zeros_like(residual)
@@ -481,15 +507,16 @@ class Problem:
                 by[i] += derivative[part, None] * slopes[axis]
             for i, spline in enumerate(self.focus_basis[part].T[::-1], start=1):
                 by[-i] += slopes[-1] * spline[:, None]
-            by[self.index.fluxes[j]] = response[pixels] * image
+            by[self.flux_number(j)] = response[pixels] * image
         residual -= response * light
-        for pixels, column in zip(self.slices, self.index.backgrounds, strict=False):
-            residual[:, pixels] -= state.column(column)[part, None]
-            design[column, :, pixels] = 1.0
+        for i, pixels in enumerate(self.slices):
+            residual[:, pixels] -= self.backgrounds(state, i)[part, None]
+            if (number := self.background_number(i)) is not None:
+                design[number, :, pixels] = 1.0
         return residual, design, light
 
     def _add_priors(self, state, shared, gradient):
-        """Add the priors of the shared parameters to an expansion; return their cost."""
+        """Add priors of the shared parameters to an expansion; return their cost."""
         s, p = self.n_shared, self.n_pixels
         precision = np.array([q.prior**-2 for q in self.parameters])
         deviation = state.shared - np.array([q.center for q in self.parameters])
@@ -497,7 +524,7 @@ class Problem:
         gradient[:s] -= precision * deviation
         cost = precision @ deviation**2
         if p and np.isfinite(self.options.interpixel):
-            # The prior does not constrain a common factor of all pixels: that is the flux.
+            # A common factor of all pixels is the flux.
             deviation = state.interpixel - state.interpixel.mean()
             precision = self.options.interpixel**-2
             cost += precision * np.sum(deviation**2)
@@ -508,9 +535,9 @@ class Problem:
 
 def median_image(cube):
     """Return the median of finite values over the first axis; 0 where there are none."""
-    seen = np.isfinite(cube).any(axis=0)
-    image = np.zeros(cube.shape[1:])
-    image[seen] = np.nanmedian(np.where(np.isfinite(cube), cube, np.nan)[:, seen], axis=0)
+    finite = np.isfinite(cube)
+    seen, image = finite.any(axis=0), np.zeros(cube.shape[1:])
+    image[seen] = np.nanmedian(np.where(finite, cube, np.nan)[:, seen], axis=0)
     return image
 
 

@@ -1,17 +1,19 @@
-"""The file of a fit, the twin of its star, and shapes with errors to first order."""
+"""Tables and the file of a fit, the twin of its star, shapes with errors to first order."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 from astropy.stats import mad_std
 from astropy.table import Table
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import least_squares
+from scipy.stats import f as f_distribution
 
 from scope_models._arrays import native
 from scope_models._checks import checked_choice
+from scope_models._values import Value
 from scope_models.effects import Background, Focus, PixelShares
-from scope_models.fitting import _parameters
 from scope_models.io._opening import RefusedError, making, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
@@ -25,25 +27,108 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS", "make_scene", "psf_shape", "read_fit", "sensitivity_profiles", "smoothed",
-    "with_slopes", "write_fit",
+    "CADENCE_UNITS", "STATISTICS", "FittedStar", "cadence_table", "degrees_of_freedom",
+    "described", "followed", "light_of", "make_scene", "mapped", "parameter_table", "propagated",
+    "psf_shape", "read_fit", "sensitivity_profiles", "smoothed", "with_slopes", "write_fit",
 ]  # fmt: skip
 
+_UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
+_RATES = ("flux", "flux_err", "flux_scatter", "background", "background_err")
+# Columns of `TPFFit.cadences`, and their units.
+CADENCE_UNITS = {
+    "time": "d",
+    **dict.fromkeys(("cadenceno", "quality", "focus", "held_out", "outliers"), ""),
+    **dict.fromkeys(("x", "x_err", "y", "y_err", "pos_corr"), "pixel"),
+    **dict.fromkeys(_RATES, "electron / s"),
+}
+# Entries of `TPFFit.statistics`.
+STATISTICS = (
+    *("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "chi2_held_out"),
+)
+# Reduced chi-squared above which a sensitivity is not measured: it describes errors of the PSF long
+# before chi-squared shows them.
+_TRUE_CHI2 = 1.1
 _CREATOR, _VERSION = "scope_models fit", 2
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
-SMOOTHING_DAYS = 0.5
-# Pixels fainter than this part of the brightest one give the noise without light.
+_SMOOTHING_DAYS = 0.5
+# Pixels below this part of the brightest one have the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
-# Bands of frequency in which power is compared with that of the noise.
+# Probability of what is not by chance.
+_CHANCE = 0.01
+# Bands of frequency in which power is compared with the noise.
 _BANDS = 40
-# Step of a derivative in errors of the parameter, and at most.
+# Step of a derivative, in errors of the parameter, and at most.
 _STEP, _LARGEST_STEP = 0.05, 1e-3
-# Pixels from the center to which the contour may reach; directions and radii in which it is sought.
+# Reach of a contour from the center, pixels; directions and radii in which it is sought.
 _REACH, _DIRECTIONS, _RADII = 8.0, 90, 801
-# Part of all light that any pixel may hold besides the image of a Gaussian.
+# Part of all light that any pixel may hold beside a Gaussian.
 _EVERYWHERE = 0.003
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStar(Value):
+    """Another star in a fit.
+
+    Parameters
+    ----------
+    x, y, flux : ndarray of shape (n,)
+        Position in pixels and flux in e-/s, by cadence.
+    x_err, y_err, flux_err : ndarray of shape (n,)
+        Their errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting import FittedStar
+    >>> star = FittedStar(*np.ones((6, 5)))
+    >>> star.flux.shape
+    (5,)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
+
+    def __post_init__(self):
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+def parameter_table(model, free, values, covariance, at_bounds, statistics):
+    """`TPFFit.parameters`; ``free`` are kinds by name, with values and their covariance."""
+    unknown, reduced = set(at_bounds), statistics["chi2"] / degrees_of_freedom(statistics)
+    has_response = np.isfinite(statistics["chi2_held_out"])
+    if has_response or statistics["error_scale"] > 1 or reduced > _TRUE_CHI2:
+        unknown |= set(model.response_powers)
+    errors = np.where([name in unknown for name in free], np.nan, np.sqrt(np.diag(covariance)))
+    names = [*free, *(name for name in model.param_names[3:] if name not in free)]
+    numbers = numbers_of(model) | dict(zip(free, values, strict=True))
+    kinds = [(model.parameter_kinds | free).get(name, "other") for name in names]
+    columns = {
+        "name": names, "value": [numbers[name] for name in names],
+        "error": [*errors, *[0.0] * (len(names) - len(free))],
+        "unit": [_UNITS.get(kind, "") for kind in kinds],
+        "fixed": [name not in free for name in names], "kind": kinds,
+        "at_bound": [name in at_bounds for name in names],
+    }  # fmt: skip
+    table = Table(columns, dtype=("U32", float, float, "U8", bool, "U16", bool))
+    table["value"].info.format, table["error"].info.format = ".6g", ".2g"
+    return table
+
+
+def degrees_of_freedom(statistics):
+    return max(statistics["n_data"] - statistics["n_parameters"], 1)
+
+
+def cadence_table(columns):
+    names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
+    units = {name: CADENCE_UNITS[name] or None for name in names}
+    return Table({name: columns[name] for name in names}, units=units)
 
 
 def write_fit(fit, path, *, overwrite):
@@ -54,12 +139,11 @@ def write_fit(fit, path, *, overwrite):
     primary.header["FITVERS"] = (_VERSION, "version of this format")
     columns = []
     for column in fit.cadences.itercols():
-        unit = {"": None, "electron / s": "e-/s"}  # FITS has no electron
-        unit = unit.get(text := str(column.unit or ""), text)
+        unit = str(column.unit or "").replace("electron / s", "e-/s")  # FITS has no electron
         kind = {"i": "K", "u": "K", "b": "L"}.get(column.dtype.kind, "D")
         for number, part in enumerate(np.atleast_2d(column.T), start=1):
             name = f"{column.name.upper()}{number if column.ndim > 1 else ''}"
-            columns.append(fits.Column(name, kind, unit=unit, array=np.asarray(part)))
+            columns.append(fits.Column(name, kind, unit=unit or None, array=np.asarray(part)))
     neighbors = np.array([list(vars(star).values()) for star in fit.neighbors], dtype=float)
     text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
     hdus = [
@@ -74,7 +158,6 @@ def write_fit(fit, path, *, overwrite):
 
 
 def read_fit(path):
-    """Return the fields of a fit that `write_fit` has written."""
     with open_fits(path) as hdus:
         header = hdus[0].header
         if header.get("CREATOR") != _CREATOR:
@@ -87,7 +170,7 @@ def read_fit(path):
 
 def _fields_of(hdus):
     table = hdus["CADENCES"].data
-    names = [name for name in _parameters.CADENCE_UNITS if name.upper() in table.names]
+    names = [name for name in CADENCE_UNITS if name.upper() in table.names]
     columns = {name: native(table[name.upper()]) for name in names}
     if "POS_CORR1" in table.names:
         columns["pos_corr"] = np.column_stack([native(table[f"POS_CORR{i}"]) for i in (1, 2)])
@@ -102,25 +185,21 @@ def _fields_of(hdus):
     detector |= {"sensitivity": prf["sensitivity"], "psf": None, "interpixel": True}
     maps = {"INTERPIXEL": np.maximum(values["interpixel"], 0.0)}
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
-    response = tuple(PixelShares(**values) for values in shares)
-    statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
+    statistics = {name: described.get(name, np.nan) for name in STATISTICS}
     if described["options"]["interpixel"] is None:
         described["options"]["interpixel"] = np.inf
-    free = [*map(_parameters.FitParameter, described["names"], described["kinds"])]
-    parameters = _parameters.parameter_table(
-        model, free, described["parameters"], values["covariance"], described["at_bounds"],
-        statistics, response=bool(response),
-    )  # fmt: skip
+    free = dict(zip(described["names"], described["kinds"], strict=True))
+    given = described["parameters"], values["covariance"], described["at_bounds"], statistics
     kept = {name: described[name] for name in ("options", "time_format", "meta")}
     return values | kept | {
-        "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
-        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "response": response,
+        "model": model, "parameters": parameter_table(model, free, *given),
+        "cadences": cadence_table(columns), "neighbors": tuple(FittedStar(*star) for star in cube),
+        "response": tuple(PixelShares(**share) for share in shares),
         "detector": make_detector(detector, maps), "statistics": statistics,
     }  # fmt: skip
 
 
 def _description(fit):
-    """Values that are neither an array by cadence nor an image."""
     model, options = fit.model, dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
@@ -152,28 +231,26 @@ def make_scene(fit, positions, signal):
     checked_choice("signal", signal, ("smooth", "fitted", "constant"))
     xy = np.column_stack([fit.x, fit.y])
     if fit.response and path is not None:
-        errors = fit.x_err, fit.y_err
-        parts = zip(path.T, xy.T, errors, strict=True)
-        xy = np.column_stack([p + denoised(fit, place - p, error) for p, place, error in parts])
+        pairs = zip((xy - path).T, (fit.x_err, fit.y_err), strict=True)
+        xy = path + np.column_stack([denoised(fit, *pair) for pair in pairs])
     if common:
         path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, fit.shape)
     if common or positions == "path":
         if path is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
         known = np.isfinite(path).all(axis=1)
-        basis = np.column_stack([np.ones(known.sum()), path[known]])
-        xy[known] = basis @ np.linalg.lstsq(basis, xy[known], rcond=None)[0]
-    flux = float(np.median(fit.flux))
+        xy[known] = mapped(path[known], xy[known])
+    flux = np.median(fit.flux)
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
-    middle, stars = np.median(xy, axis=0).tolist(), []
-    for star in (fit, *fit.neighbors):
-        *place, light = (float(np.median(values)) for values in (star.x, star.y, star.flux))
+    middle, stars = np.median(xy, axis=0), []
+    others = (np.median([star.x, star.y, star.flux], axis=1) for star in fit.neighbors)
+    for x, y, light in ((*middle, flux), *others):
         if light > 0:
             mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
-            own = {} if stars else {"signal": _signal(fit, signal)}
-            stars.append(Star(float(mag), *(place if stars else middle), psf=fit.psf, **own))
+            own = None if stars else _signal(fit, signal)
+            stars.append(Star(float(mag), float(x), float(y), signal=own, psf=fit.psf))
     arrays = {name: getattr(fit, name) for name in ("time", "quality", "cadenceno", "time_format")}
     motion = Motion(x=xy[:, 0] - middle[0], y=xy[:, 1] - middle[1], **arrays)
     effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
@@ -183,11 +260,17 @@ def make_scene(fit, positions, signal):
     return Scene(stars, detector, motion, effects=effects, **_identity(fit.meta, detector.mission))
 
 
+def mapped(path, xy):
+    """Positions ``(n, 2)`` as the affine map of a path that is nearest has them."""
+    basis = np.column_stack([np.ones(len(path)), path])
+    return basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
+
+
 def _identity(cards, mission):
-    """Return the fields of a scene that identify the target, of the cards that the file had."""
-    names = {"object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
-    names |= {"column": "1CRV5P", "row": "2CRV5P"}
-    names["target_id"] = "KEPLERID" if "KEPLERID" in cards else "TICID"
+    names = {
+        "object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ", "column": "1CRV5P",
+        "row": "2CRV5P", "target_id": "KEPLERID" if "KEPLERID" in cards else "TICID",
+    }  # fmt: skip
     found = {name: cards[key] for name, key in names.items() if key in cards}
     steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
     if all(isinstance(step, int | float) for step in steps):
@@ -207,25 +290,56 @@ def _signal(fit, kind):
     if kind == "smooth" and fit.response:
         relative = denoised(fit, fit.flux, fit.flux_scatter) / typical
     elif kind == "smooth":
-        # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
-        cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
-        light, expected = (np.nansum(cube, axis=(1, 2)) for cube in cubes)
+        # Unlike fitted fluxes, sums of pixels do not depend on errors of the PSF.
+        light, expected = light_of(fit, fit.observed), light_of(fit, fit.fitted)
         ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
         relative = smoothed(fit.time, relative * ratio)
         relative /= np.median(relative)
     return np.maximum(relative, 0.0)
 
 
+def light_of(fit, cube):
+    """Sums of all pixels less background, e-/s, ``(n,)``."""
+    return np.nansum(cube - fit.background[:, None, None], axis=(1, 2))
+
+
 def smoothed(time, values):
-    """Running mean of a running median."""
     step = np.median(np.diff(time)) if len(time) > 1 else 1.0
-    size = min(2 * round(SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
+    size = min(2 * round(_SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
     values = median_filter(values, size, mode="nearest")
     return uniform_filter1d(values, size, mode="nearest")
 
 
+def described(fit):
+    """Cadences that are no outliers."""
+    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+
+
+def followed(fit):
+    """Return the rms of fast flux that a quadratic form of the position explains, 0 if by chance.
+
+    Spans of the smoothing count as independent.
+    """
+    good = described(fit)
+    if good.sum() < _FEWEST_CADENCES:
+        return 0.0
+    time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
+    x, y = x - x.mean(), y - y.mean()
+    columns = [values - smoothed(time, values) for values in (flux, x, y, x * x, x * y, y * y)]
+    fast, *terms = (column - column.mean() for column in columns)
+    terms = np.column_stack(terms)
+    part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
+    free = max(min(np.ptp(time) / _SMOOTHING_DAYS, len(time)) - terms.shape[1] - 1, 1)
+    noise = np.mean(fit.flux_scatter[good] ** 2)
+    rest = max(np.mean((fast - part) ** 2) - noise, 0.0)
+    expected = terms.shape[1] * (noise / len(time) + rest / free)
+    ratio = np.mean(part**2) / max(expected, 1e-300)
+    by_chance = f_distribution.sf(ratio, terms.shape[1], free) >= _CHANCE
+    return 0.0 if by_chance else float(part.std())
+
+
 def denoised(fit, values, error):
-    """Values ``(n,)`` with their variations scaled down to the power that errors do not explain."""
+    """Values ``(n,)`` with the power of their variations that errors do not explain."""
     slow, out = smoothed(fit.time, values), fit.outliers
     fast = np.where(out, 0.0, values - slow)
     spectrum = np.fft.rfft(fast)
@@ -237,7 +351,7 @@ def denoised(fit, values, error):
 
 
 def _read_noise(fit):
-    """Noise per read with which the faint pixels of a simulation scatter as those of the file."""
+    """Noise per read with which faint pixels scatter as those of the file."""
     detector = fit.detector
     if len(fit.time) < _FEWEST_CADENCES:
         return detector.read_noise
@@ -252,7 +366,7 @@ def _read_noise(fit):
 
 
 def sensitivity_profiles(fit):
-    """Offsets and, by axis, fitted sensitivity and error, NaN at a bound; None without one."""
+    """Offsets and, by axis, fitted sensitivity and error, NaN at a bound; or None."""
     model = fit.sensitivity
     if not isinstance(model, SensitivityPolynomial):
         return None
@@ -262,15 +376,20 @@ def sensitivity_profiles(fit):
         powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
         value = sum(getattr(model, name).value * term for name, term in powers.items())
         terms = [powers.get(name, np.zeros_like(offset)) for name in fit.names]
-        terms = np.reshape(terms, (-1, len(offset)))
-        variance = np.einsum("iu,ij,ju->u", terms, fit.covariance, terms)
+        error = propagated(np.reshape(terms, (-1, len(offset))), fit.covariance)
         known = all(fit.errors[name] > 0 for name in fit.names if name in powers)
-        profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
+        profiles[axis] = value, error if known else error * np.nan
     return profiles
 
 
+def propagated(slopes, covariance):
+    """Errors of quantities with derivatives ``(s, ...)`` by parameters with a covariance."""
+    variance = np.einsum("i...,ij,j...->...", slopes, covariance, slopes, optimize=True)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
 def with_slopes(fit, measure):
-    """Return a measure of the PSF, and its derivatives by the free parameters, ``(s, ...)``."""
+    """Return a measure of the PSF, and derivatives by the free parameters, ``(s, ...)``."""
     value = measure(fit.psf)
     slopes = np.zeros((len(fit.names), *value.shape))
     for slope, name in zip(slopes, fit.names, strict=True):
@@ -291,25 +410,25 @@ def psf_shape(fit):
         moments, slopes = with_slopes(fit, lambda psf: _moments(psf, *center))
         covariance = slopes.T @ fit.covariance @ slopes
     values = _axes(moments)
-    # Small steps, for the axes of a circle have no direction.
+    # Small, for the axes of a circle have no direction.
     steps = np.minimum(_STEP * np.sqrt(np.diag(covariance)) + 1e-12, _LARGEST_STEP * moments[0])
-    by = np.transpose([_axes(moments + step) - values for step in np.diag(steps)])
-    by[-1] = (by[-1] + 90) % 180 - 90
-    errors = np.sqrt(np.einsum("ai,ij,aj->a", by / steps, covariance, by / steps))
-    names = ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle")
-    units = ("pix", "pix", "pix", "", "deg")
-    table = Table({"name": names, "value": values, "error": errors, "unit": units})
+    by = np.array([_axes(moments + step) - values for step in np.diag(steps)])
+    by[:, -1] = (by[:, -1] + 90) % 180 - 90
+    table = Table({
+        "name": ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle"), "value": values,
+        "error": propagated(by / steps[:, None], covariance), "unit": ("pix",) * 3 + ("", "deg"),
+    })  # fmt: skip
     table["value"].info.format, table["error"].info.format = ".4g", ".2g"
     return table
 
 
 def _moments_of_shares(fit):
-    """Moments of the Gaussian that fits the typical shares, and their covariance."""
+    """Moments, as `_moments`, of a Gaussian fitted to typical shares, and their covariance."""
     x, y, time = (np.median(values) for values in (fit.x, fit.y, fit.time))
     shares = fit.model.unit_images(fit.shape, x, y) + fit.response[0].changes([x], [y], [time])[0]
     used = np.isfinite(fit.fitted).any(axis=0)
-    # The pixels scatter about it by one part of their light, and of all light in faint ones.
-    weight = used / (np.abs(shares) + _EVERYWHERE)
+    # Pixels scatter about it by a part of their light, and of all light in faint ones.
+    weight = 1 / (np.abs(shares) + _EVERYWHERE)
     gaussian = PRF(BivariateGaussianPSF())
 
     def residual(values):
@@ -320,12 +439,12 @@ def _moments_of_shares(fit):
     upper = [2.0, x + 2, y + 2, *[10.0] * 2, 0.95]
     found = least_squares(residual, [1.0, x, y, 0.5, 0.5, 0.0], bounds=(lower, upper))
     sigma_x, sigma_y, rho = found.x[3:]
-    # Mostly the bright pixels determine the Gaussian: their number, and how far they scatter.
+    # Number and scatter of the bright pixels, which mostly determine the Gaussian.
     light = np.abs(shares)[used]
     number = light.sum() ** 2 / np.sum(light**2)
     variance = (light @ found.fun**2) / light.sum() * number / max(number - len(found.x), 1)
     covariance = variance * np.linalg.pinv(found.jac.T @ found.jac)[3:, 3:]
-    # Of the area above half of the largest value, of a Gaussian.
+    # Second moments of a Gaussian's area above half of its largest value.
     unit = np.log(4) / 4
     by = np.diag([2 * sigma_x, 2 * sigma_y, sigma_x * sigma_y])
     by[2, :2] = rho * sigma_y, rho * sigma_x
@@ -352,7 +471,6 @@ def _moments(psf, x, y):
 
 
 def _axes(moments):
-    """Return the rows of the table for an ellipse with these second moments."""
     xx, yy, xy = moments
     half, turned = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     major, minor = 4 * np.sqrt(half + turned), 4 * np.sqrt(half - turned)

@@ -1,70 +1,80 @@
 """The response of each pixel: shares of a star's light that are smooth in position and time.
 
-A PSF that is fitted to some of the cadences gives the shares to begin with. Each pixel's deviation
-from them is a polynomial of the star's fitted position and slow time, with priors whose widths the
-data give. Shares and cadences are fitted in turn, each by linear least squares.
+Shares begin as those of a PSF that is fitted to some of the cadences. Each pixel's deviation is a
+polynomial of the star's fitted position and slow time, with priors whose widths the data give.
+Shares and cadences are fitted in turn, each by linear least squares.
 """
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.light import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._parameters import cadence_table, parameter_table
 from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
+from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
 
 __all__ = ["fit_response"]
 
-# Degrees in position and time that are tried, one after the other; coefficients in a pixel of many
-# stars at most: time goes with their square.
+# Degrees in position and time, in turn; most coefficients of a pixel: time goes with their square.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 _MOST_TERMS = 450
-# Multiplications at most in all steps, half of them for the choice: 30 s, for one core makes 0.8 to
-# 1.0e10 a second with 6 to 108 terms if a step's cadences take as many as the shares of 80 terms.
+# Multiplications in all steps, half of them for the choice: 30 s, for one core makes 1e10 a second
+# if a step's cadences take as many as the shares of 80 terms.
 _MOST_WORK, _CADENCE_TERMS = 3e11, 80
-# Steps on each rung, and by how much the next one must lower the cost of held-out cadences, unless
-# their cost per pixel is that of a model that is far off.
+# Steps on each rung; relative gain of held-out cadences from it, unless a pixel costs so much that
+# the model is far off and may need more terms at once.
 _TRIAL_STEPS, _LEAST_GAIN, _FAR = 4, 1e-2, 2.0
-# Every tenth cadence is held out, from the sixth on; cadences that a response needs.
+# Every tenth cadence is held out, from the sixth on; fewest in all.
 _EVERY, _FIRST, _FEWEST = 10, 5, 20
-# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most; where
-# positions are free.
+# Standard deviation about POS_CORR at most, pixels and parts of the motion; of free positions.
 _POSITION_ERROR, _POSITION_PART, _LOOSE = 0.1, 0.5, 10.0
-# Standard deviations of the shares to begin with, relative to a pixel's share plus a part of all
-# light that every pixel may hold; smallest one.
+# First standard deviation of a share, relative to it plus a part of all light; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
-# Pixels beyond so many errors are hits, unless so large a part of the pixel's values is. Cadences
-# beyond so many robust standard deviations of chi-squared are outliers.
+# Errors beyond which a pixel is hit, unless more than a part of its values is; robust standard
+# deviations of chi-squared beyond which a cadence is an outlier.
 _HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
-# Motion that agrees with POS_CORR so well is put on its scale.
+# Agreement of motion that is put on the scale of POS_CORR.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
-# Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its
-# own scatter; steps of the last rung at most, for one star and for each of many.
+# Largest step of a position, pixels; change of the cost that is none, relative and in its scatter;
+# most last steps, for one star and for each of many.
 _MOVE, _SAME, _SMALL, _MOST_STEPS, _FEW_STEPS = 0.1, 3e-4, 0.01, 80, 10
-# Part of the range of positions and pixels by which the polynomials reach farther; percentiles.
+# Reach of the polynomials beyond percentiles of positions, in parts of their range and pixels.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
-# Pixels whose light is less than so many errors hardly count in the sum that is the flux: wide sums
-# of faint stars are noisy, and narrow ones of bright stars follow errors of the PSF and the focus.
+# Errors below which light hardly counts in the sum that is the flux: wide sums of faint stars are
+# noisy, narrow ones of bright stars follow errors of PSF and focus.
 _FAINT = 40.0
-# A star that has moved by less has the image of first order, pixels; cadences at once.
+# Motion up to which an image is of first order, pixels; cadences at once.
 _TAYLOR, _CHUNK = 1e-3, 512
 # Residual, in errors, from which the cost grows only linearly.
 _SOFT = 3.0
 
 
+@dataclass(eq=False)
+class _Image:
+    """A star in the ``p`` pixels of its file."""
+
+    pixels: slice  # of all fitted ones
+    psf: np.ndarray  # (3, n, p): unit image where the star was, and derivatives by place
+    size: np.ndarray  # (p,): typical share
+    unit: np.ndarray  # (p,): scale of its change, 0 where there is too little light to learn from
+    parts: np.ndarray  # (p,): effect of a common factor
+    share: np.ndarray  # (p,): weights of the sum that stays the PSF's
+    values: np.ndarray  # (k, p): coefficients
+
+
 class _Shares:
-    """Images of all stars, the PSF's and polynomials in all pixels, and the cadences' values."""
+    """Images of all stars, with polynomials in all pixels, and the state of the cadences."""
 
     def __init__(self, problem, state, center, error):
-        self.problem, self.center, self.error = problem, center, error
-        # Values, weights, and masks of the cadences in use and of those that are held out.
-        self.state, self.weight = state, problem.weight
+        self.problem, self.state, self.weight = problem, state, problem.weight
+        self.center, self.error = center, error
+        # Masks of the cadences in use and of those that are held out.
         self.used, self.held = np.ones(len(center), dtype=bool), np.zeros(len(center), dtype=bool)
         self.held[_FIRST::_EVERY] = True
         low, high = np.percentile(center, _INSIDE, axis=0)
@@ -72,29 +82,22 @@ class _Shares:
         last = max(time.max(), time.min() + 1)
         self.ranges = (*zip(low - pad, high + pad, strict=True), (time.min(), last))
         errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in self.weight.T])
-        # Images of the PSF, with their derivatives, and where each cadence was then.
         self.images, self.places = [], np.full((len(center), 2), np.inf)
-        # Typical share of each star in a pixel; its change, 0 where another star than the first of
-        # its file has too little light to learn from; effect of a common factor, and the weights
-        # of the sum that stays the PSF's.
-        self.size, self.unit, self.gauges = [], [], []
         stamps = [star.stamp for star in problem.stars]
         self.firsts = [stamps.index(stamp) for stamp in range(len(problem.stamps))]
-        for k, star in enumerate(problem.stars):
+        for k, stamp in enumerate(stamps):
             typical = problem.unit_images(state, slice(None, None, _EVERY), k)
             size = np.maximum(np.median(typical, axis=0), 0.0)
             learns = (size >= _EVERYWHERE) | (k in self.firsts)
-            faint = errors[problem.slices[star.stamp]] / abs(np.median(problem.fluxes(state, k)))
-            parts = size * learns
+            parts, pixels = size * learns, problem.slices[stamp]
+            faint = errors[pixels] / abs(np.median(problem.fluxes(state, k)))
             share = parts / (parts + _FAINT * faint)
-            self.images.append(np.zeros((3, len(center), size.size)))
-            self.size.append(size)
-            self.unit.append((size + _EVERYWHERE) * learns)
-            self.gauges.append((parts / (parts @ share), share))
+            self.images.append(_Image(
+                pixels, np.zeros((3, len(center), size.size)), size, (size + _EVERYWHERE) * learns,
+                parts / (parts @ share), share, np.zeros((1, size.size)),
+            ))  # fmt: skip
         self.degrees, self.terms = (0, 0), polynomial_terms(0, 0)
         self.width = np.array([_FIRST_PRIOR])
-        self.values = [np.zeros((1, size.size)) for size in self.size]
-        self.covariance, self.n_free = [None] * self.weight.shape[1], 0.0
 
     @property
     def order(self):
@@ -104,16 +107,17 @@ class _Shares:
         other = copy(self)
         other.degrees, other.terms = degrees, polynomial_terms(*degrees)
         index = (other.terms == self.terms[:, np.newaxis]).all(axis=2).argmax(axis=1)
-        other.values = [np.zeros((len(other.terms), part.size)) for part in self.size]
-        for mine, theirs in zip(self.values, other.values, strict=True):
-            theirs[index] = mine
+        other.images = []
+        for image in self.images:
+            values = np.zeros((len(other.terms), image.size.size))
+            values[index] = image.values
+            other.images.append(replace(image, values=values))
         more = other.order.max() + 1 - len(self.width)
         other.width = np.append(self.width, [self.width[-1]] * more)
-        other.covariance = list(self.covariance)
         return other
 
     def basis(self):
-        """Polynomials of the cadences, and their derivatives by column and row, ``(n, k)``."""
+        """Polynomials of the cadences, and derivatives by column and row, ``(n, k)``."""
         values = (*self.problem.xy(self.state).T, self.problem.data.time)
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
         value, *slopes = polynomials(self.terms, *scaled)
@@ -123,60 +127,64 @@ class _Shares:
         return value, *slopes
 
     def psf(self):
-        """Images of the PSF of unit flux, and derivatives by place, ``(3, n, p)`` per star."""
+        """Unit images of the PSF, and derivatives by place, ``(3, n, p)`` per star."""
         xy = self.problem.xy(self.state)
         moved = np.flatnonzero(np.abs(xy - self.places).max(axis=1) > _TAYLOR)
         for start in range(0, len(moved), _CHUNK):
             some = moved[start : start + _CHUNK]
-            for k, part in enumerate(self.images):
-                image, by = self.problem.unit_images(self.state, some, k, derivatives=True)
-                part[:, some] = image, *by[:2]
+            for k, image in enumerate(self.images):
+                value, by = self.problem.unit_images(self.state, some, k, derivatives=True)
+                image.psf[:, some] = value, *by[:2]
         self.places[moved] = xy[moved]
         right, up = (xy - self.places).T[..., np.newaxis]
-        return [(image + right * x + up * y, x, y) for image, x, y in self.images]
+        psfs = (image.psf for image in self.images)
+        return [(value + right * x + up * y, x, y) for value, x, y in psfs]
 
     def residual(self, *, slopes=False):
-        """Data less model ``(n, p)``, and derivatives of the model by the columns of cadences."""
+        """Data less model ``(n, p)``, and derivatives of the model by the cadences' columns."""
         problem, state, k = self.problem, self.state, len(self.problem.columns)
         residual = problem.flux.copy()
         design = np.zeros((*residual.shape, k if slopes else 0))
         basis = self.basis()[: 3 if slopes else 1]
-        for number, psf in enumerate(self.psf()):
-            pixels = problem.slices[problem.stars[number].stamp]
-            column, flux = problem.index.fluxes[number], problem.fluxes(state, number)[:, None]
-            image, *by = (p + b @ self.values[number] for p, b in zip(psf, basis, strict=False))
-            residual[:, pixels] -= flux * image
+        for number, (image, psf) in enumerate(zip(self.images, self.psf(), strict=True)):
+            column, flux = problem.flux_number(number), problem.fluxes(state, number)[:, None]
+            value, *by = (p + b @ image.values for p, b in zip(psf, basis, strict=False))
+            residual[:, image.pixels] -= flux * value
             for axis, slope in enumerate(by):
-                design[:, pixels, axis] += flux * slope
+                design[:, image.pixels, axis] += flux * slope
             if slopes and column < k:
-                design[:, pixels, column] = image
+                design[:, image.pixels, column] = value
         for number, pixels in enumerate(problem.slices):
             residual[:, pixels] -= problem.backgrounds(state, number)[:, None]
             if slopes and problem.options.background == "cadence":
-                design[:, pixels, problem.index.backgrounds[number]] = 1.0
+                design[:, pixels, problem.background_number(number)] = 1.0
         return (residual, design) if slopes else residual
 
     def pixels(self):
-        """Yield number of each pixel, that in its file, and the stars whose shares are fitted."""
-        for stamp, pixels in enumerate(self.problem.slices):
-            own = [k for k, star in enumerate(self.problem.stars) if star.stamp == stamp]
-            for number in range(pixels.stop - pixels.start):
-                yield pixels.start + number, number, [k for k in own if self.unit[k][number]]
+        """Yield each pixel's number, that in its file, and fluxes and images to learn from."""
+        for pixels in self.problem.slices:
+            own = [
+                (self.problem.fluxes(self.state, k), image)
+                for k, image in enumerate(self.images)
+                if image.pixels == pixels
+            ]
+            for number, pixel in enumerate(range(pixels.start, pixels.stop)):
+                yield pixel, number, [pair for pair in own if pair[1].unit[number]]
 
     def update(self):
-        """Fit the polynomials of all pixels to the light of the cadences that are not held out."""
         learned, order = self.used & ~self.held, self.order
         phi, rest = self.basis()[0][learned], self.residual()[learned]
-        fluxes = [self.problem.fluxes(self.state, k)[learned] for k in range(len(self.values))]
-        squares, counts, self.n_free = np.zeros_like(self.width), np.zeros_like(self.width), 0.0
+        squares, counts = np.zeros_like(self.width), np.zeros_like(self.width)
+        self.covariance, self.n_free = [], 0.0
         for pixel, number, stars in self.pixels():
             weight = self.weight[learned, pixel]
-            values = np.concatenate([self.values[k][:, number] for k in stars])
+            values = np.concatenate([image.values[:, number] for _, image in stars])
             # No share changes by more than all of the light.
-            widths = [self.width[order] * self.unit[k][number] for k in stars]
+            widths = [self.width[order] * image.unit[number] for _, image in stars]
             scale = np.minimum(np.concatenate(widths), 1.0)
             # In units of the priors, all eigenvalues are 1 and more.
-            weighted = np.hstack([phi * (fluxes[k] * weight)[:, None] for k in stars]) * scale
+            light = [phi * (flux[learned] * weight)[:, None] for flux, _ in stars]
+            weighted = np.hstack(light) * scale
             normal = weighted.T @ weighted
             right = weighted.T @ (weight * rest[:, pixel]) + normal @ (values / scale)
             normal[np.diag_indices_from(normal)] += 1.0
@@ -184,33 +192,33 @@ class _Shares:
             values = scale * cho_solve(factor, right)
             covariance = cho_solve(factor, np.eye(len(values)))
             self.n_free += float(np.sum(1 - np.diag(covariance)))
-            self.covariance[pixel] = covariance = covariance * scale * scale[:, None]
-            parts = np.reshape((values, np.diag(covariance)), (2, len(stars), -1))
-            for k, value, spread in zip(stars, *parts, strict=True):
-                self.values[k][:, number] = value
-                scaled = (value**2 + spread) / self.unit[k][number] ** 2
+            self.covariance.append(covariance * scale * scale[:, None])
+            variances = np.diag(self.covariance[-1])
+            parts = np.reshape((values, variances), (2, len(stars), -1)).transpose(1, 0, 2)
+            for (_, image), (value, variance) in zip(stars, parts, strict=True):
+                image.values[:, number] = value
+                scaled = (value**2 + variance) / image.unit[number] ** 2
                 squares += np.bincount(order, scaled, len(squares))
                 counts += np.bincount(order, minlength=len(squares))
-        # A sum of the shares is the PSF's, and no change is common to all pixels.
-        for values, unit, (parts, share) in zip(self.values, self.unit, self.gauges, strict=True):
+        # A sum of shares is the PSF's, and no change is common to all pixels.
+        for image in self.images:
+            values, seen = image.values, image.unit > 0
             if self.problem.options.background == "cadence":
-                seen = unit > 0
-                common = values[:, seen] @ unit[seen] ** -2 / np.sum(unit[seen] ** -2)
-                values[:, seen] -= common[:, None]
-            values[:] -= (values @ share)[:, None] * parts
+                weight = image.unit[seen] ** -2
+                values[:, seen] -= (values[:, seen] @ weight / np.sum(weight))[:, None]
+            values -= (values @ image.share)[:, None] * image.parts
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
     def responses(self):
-        """Typical share of each pixel over that of the PSF, less 1, ``(p,)``."""
+        """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
-        for k, star in enumerate(self.problem.stars):
-            parts = np.array([self.values[k][0], self.size[k]])
-            parts *= np.median(self.problem.fluxes(self.state, k))
-            light[:, self.problem.slices[star.stamp]] += parts
+        for k, image in enumerate(self.images):
+            flux = np.median(self.problem.fluxes(self.state, k))
+            light[:, image.pixels] += flux * np.array([image.values[0], image.size])
         return light[0] / np.maximum(light[1], _LEAST_PRIOR)
 
     def equations(self):
-        """Normal equations of the cadences, with the prior of the positions, and derivatives."""
+        """Normal equations of the cadences, with the positions' prior, and derivatives."""
         residual, design = self.residual(slopes=True)
         weighted = design * self.weight[..., None]
         normal = weighted.transpose(0, 2, 1) @ weighted
@@ -219,16 +227,14 @@ class _Shares:
         right[:, :2] += (self.center - self.state.cadence[:, :2]) / self.error**2
         return normal, right[..., None], design
 
-    def improve(self, steps=2):
-        """Fit flux, position and background of each cadence."""
-        for _ in range(steps):
-            normal, right, _ = self.equations()
-            step = solved(normal, right)[..., 0]
-            step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
-            self.state = replace(self.state, cadence=self.state.cadence + step)
+    def improve(self):
+        normal, right, _ = self.equations()
+        step = solved(normal, right)[..., 0]
+        step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
+        self.state = replace(self.state, cadence=self.state.cadence + step)
 
     def put_on_path(self):
-        """Put the positions on the scale of POS_CORR, where the motion agrees with it."""
+        """Put positions on the scale of POS_CORR, where the motion agrees with it."""
         corr, used, cadence = self.problem.data.pos_corr, self.used, self.state.cadence.copy()
         if corr is None or not corr.std(axis=0).all():
             return
@@ -247,7 +253,7 @@ class _Shares:
         return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
     def leave_out(self):
-        """Leave out single pixels that are hit, and cadences that the model does not describe."""
+        """Leave out pixels that are hit, and cadences that the model does not describe."""
         good = self.problem.weight > 0
         squares = (self.problem.weight * self.residual()) ** 2
         typical = median_image(np.where(good, squares, np.nan))
@@ -263,7 +269,7 @@ class _Shares:
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
         before = np.inf
         for number in range(1, steps + 1):
-            for step in (self.update, self.improve, self.put_on_path, self.leave_out):
+            for step in (self.update, *[self.improve] * 2, self.put_on_path, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             report(cost)
@@ -275,7 +281,7 @@ class _Shares:
 
 
 def _choose(shares, report):
-    """Add terms as long as the cadences that are held out are described better."""
+    """Add terms as long as they describe held-out cadences better."""
     given, held, steps, work = shares.problem.weight, shares.held, 0, 0.0
     crowd = max(np.bincount([star.stamp for star in shares.problem.stars]))
 
@@ -295,7 +301,6 @@ def _choose(shares, report):
         both = trial.used[held] & best.used[held]
         if cost[both].sum() <= (1 - _LEAST_GAIN) * least[both].sum():
             best, least = trial, cost
-        # A model that is far off may need more terms at once.
         elif np.median(least) < _FAR * np.count_nonzero(given) / len(given):
             break
     left = (_MOST_WORK - work) // work_of_step(best.terms)
@@ -322,7 +327,8 @@ def fit_response(problem, solution, fits, report):
     shares, steps, left = _choose(_Shares(problem, start, center, error), report)
     most = min(max(_MOST_STEPS // len(problem.stars), _FEW_STEPS), left)
     settled, more = shares.climb(most, report)
-    shares.improve(steps=3)
+    for _ in range(3):
+        shares.improve()
     errors, n_free = _errors(shares)
     psf = psf_covariance(solution, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
@@ -330,73 +336,67 @@ def fit_response(problem, solution, fits, report):
 
 
 def _errors(shares):
-    """`Errors` of the parameters of the cadences, and how many are free, ``(n,)``."""
-    problem, state = shares.problem, shares.state
+    """`Errors` of the cadences, and how many of their parameters are free, ``(n,)``."""
     normal, _, design = shares.equations()
     k = normal.shape[1]
     covariance = solved(normal, np.broadcast_to(np.eye(k), normal.shape))
     own = np.diagonal(covariance[:, :2, :2], axis1=1, axis2=2)
     n_free = k - np.sum(own / np.square(shares.error), axis=1)
-    # How the errors of the shares act on them, in the gauge of the shares.
+    # How the errors of the shares act on them, in their gauge.
     gain = covariance @ (design * shares.weight[..., None] ** 2).transpose(0, 2, 1)
-    for star in shares.firsts:
-        pixels, (parts, share) = problem.slices[problem.stars[star].stamp], shares.gauges[star]
-        gain[..., pixels] -= (gain[..., pixels] @ parts)[..., None] * share
+    for image in (shares.images[star] for star in shares.firsts):
+        part = gain[..., image.pixels]
+        part -= (part @ image.parts)[..., None] * image.share
     phi, own = shares.basis()[0], np.arange(k)
     for pixel, _, stars in shares.pixels():
-        columns = np.hstack([problem.fluxes(state, star)[:, None] * phi for star in stars])
+        columns = np.hstack([flux[:, None] * phi for flux, _ in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
         covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
-    # The gauge fixes the part common to a star's pixels: its error is the prior's.
+    # The gauge fixes what a star's pixels have in common: its error is the prior's.
     common = np.linalg.norm(phi * shares.width[shares.order], axis=1) * [
-        [np.linalg.norm(share * unit) / (size @ share)]
-        for size, unit, (_, share) in zip(shares.size, shares.unit, shares.gauges, strict=True)
+        [np.linalg.norm(image.share * image.unit) / (image.size @ image.share)]
+        for image in shares.images
     ]
-    s = problem.n_shared
+    s = shares.problem.n_shared
     mixed = np.zeros((*covariance.shape[:2], s))
     return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free
 
 
 def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
-    """Return the fit of the PSF to a file with the response of its pixels."""
     problem, used, held = shares.problem, shares.used, shares.held
     modeled = problem.flux - shares.residual()
     given = problem, shares.state, errors, number, modeled, shares.weight
     fields, columns, squares = fitted_fields(*given)
     squares[~used] = np.nan
-    n_data = np.isfinite(squares).sum(axis=(1, 2))
-    part = n_data.sum() / max(np.count_nonzero(shares.weight[used]), 1)
+    counts, out = np.isfinite(squares).sum(axis=(1, 2)), held & used
+    n_data, chi2 = int(counts.sum()), float(np.nansum(squares))
+    part = n_data / max(np.count_nonzero(shares.weight[used]), 1)
     n_parameters = round(part * (shares.n_free + n_free[used].sum()))
-    chi2 = float(np.nansum(squares))
-    mean = chi2 / max(n_data.sum() - n_parameters, 1)
-    out = held & used
-    left = max(n_data[out].sum() - part * n_free[out].sum(), 1)
+    mean = chi2 / max(n_data - n_parameters, 1)
+    left = max(counts[out].sum() - part * n_free[out].sum(), 1)
     statistics = {
-        "chi2": chi2, "n_data": int(n_data.sum()), "n_parameters": n_parameters,
+        "chi2": chi2, "n_data": n_data, "n_parameters": n_parameters,
         "error_scale": float(np.sqrt(mean)) if mean > UNTRUE else 1.0,
         "converged": converged and fit.converged and not fit.at_bounds, "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }  # fmt: skip
     covariance = psf * statistics["error_scale"] ** 2
-    parameters = parameter_table(
-        fit.model, problem.parameters, shares.state.shared, covariance, fit.at_bounds, statistics,
-        response=True,
-    )  # fmt: skip
+    kinds = {p.name: p.kind for p in problem.parameters}
+    given = shares.state.shared, covariance, fit.at_bounds, statistics
     return fit.replace(
-        **fields, parameters=parameters, covariance=covariance, statistics=statistics,
+        **fields, parameters=parameter_table(fit.model, kinds, *given), covariance=covariance,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),
-        response=tuple(_effects(shares, number)),
+        statistics=statistics, response=tuple(_effects(shares, number)),
     )  # fmt: skip
 
 
 def _effects(shares, stamp):
-    """Yield the effect of each star of a file."""
     problem, state, pixels = shares.problem, shares.state, shares.problem.stamps[stamp].pixels
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
     for number, k in enumerate(stars):
         image = np.zeros((len(shares.terms), *pixels.shape))
-        image[:, pixels] = shares.values[k]
-        # The polynomials are those of the first star's position, wherever the others are.
+        image[:, pixels] = shares.images[k].values
+        # All polynomials are those of the first star's position.
         away = (problem.xy(state, k) - problem.xy(state))[0]
         columns, rows = (tuple(np.add(shares.ranges[i], away[i]).tolist()) for i in (0, 1))
         yield PixelShares(image, columns, rows, shares.ranges[2], *shares.degrees, star=number)

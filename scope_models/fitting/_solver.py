@@ -7,28 +7,26 @@ from scipy.linalg import block_diag
 
 from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, Problem, State
 
-__all__ = ["Errors", "Solution", "covariances", "expected_gain", "psf_covariance", "solve"]
+__all__ = [
+    "Errors", "Solution", "covariances", "deviation", "expected_gain", "psf_covariance", "solve",
+    "star_columns",
+]  # fmt: skip
 
-# Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
-# back; damping where the start is the result of a fit.
+# First damping, where less lets a PSF become a point, from which nothing leads back, and that from
+# the result of a fit; its limits; the least one after a step that failed.
 _FIRST_DAMPING, _LATER_DAMPING = 1e-1, 1e-3
-# Limits of the damping, and what makes a difference after a step that failed.
 _LEAST_DAMPING, _LARGEST_DAMPING, _SOBER = 1e-8, 1e8, 1e-5
-# A fit ends where an undamped step would lower the cost by less than this, absolutely or
-# relatively: all parameters together are within a tenth of a standard deviation of the minimum.
-# The last one is the latter for a first guess.
+# Gain of an undamped step where a fit ends, a tenth of a standard deviation of all parameters from
+# the minimum: absolute, relative, and relative of a guess.
 _ABSOLUTE, _RELATIVE, _LOOSE = 1e-2, 1e-6, 1e-4
-# Directions of the scaled matrix below this are not determined at all, and below the other one
-# their gradient is a rounding error.
+# Relative eigenvalues of directions that are not determined, and whose gradients are rounding.
 _FLOOR, _KNOWN = 1e-13, 1e-11
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The state after the last iteration."""
-
     problem: Problem
-    state: State  # the best parameters
+    state: State  # the best one
     equations: NormalEquations  # the expansion there
     converged: bool  # whether an undamped step would change next to nothing
     n_steps: int
@@ -36,23 +34,21 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Covariances, each with the uncertainty of all other parameters."""
-
-    shared: np.ndarray  # (m, m): shared parameters and interpixel map
-    cadence: np.ndarray  # (n, k, k): parameters of each cadence
+    shared: np.ndarray  # (m, m): covariance of shared parameters and interpixel map
+    cadence: np.ndarray  # (n, k, k): of the parameters of each cadence
     relative: np.ndarray  # (n, k, k): ... less their mean over all cadences
-    mixed: np.ndarray  # (n, k, m): parameters of each cadence with the shared ones
-    common: np.ndarray  # (stars, n or 1): relative error of fluxes that cadences have in common
+    mixed: np.ndarray  # (n, k, m): ... with the shared ones
+    common: np.ndarray  # (stars, n or 1): relative error that fluxes have in common
 
 
 def _outward(problem, shared, direction):
-    """Which shared parameters are at a bound and would leave it in a direction, ``(s,)``."""
+    """Which shared parameters a direction leads out of their bounds, ``(s,)``."""
     (lower, upper), direction = problem.bounds, direction[: problem.n_shared]
     return ((shared <= lower) & (direction < 0)) | ((shared >= upper) & (direction > 0))
 
 
 def _directions(problem, held, only):
-    """Directions in which shared parameters and map may move, ``(m, r)``: not what is held."""
+    """Directions of shared parameters and map that are free, ``(m, r)``."""
     response = problem.free_response
     if only is not None:
         held, response = held | ~only, response[:, :0]
@@ -61,7 +57,6 @@ def _directions(problem, held, only):
 
 
 def _damped(matrix, damping):
-    """A stack of matrices with their diagonals enlarged."""
     index = np.arange(matrix.shape[-1])
     # A cadence whose star has no flux does not constrain its position.
     diagonal = matrix[..., index, index] * ((1 + damping) * (1 + 1e-12))
@@ -71,7 +66,7 @@ def _damped(matrix, damping):
 
 
 def _eliminate(equations, damping=0.0):
-    """Matrix and gradient of the shared parameters alone, and what gives those of the cadences."""
+    """Matrix and gradient of the shared parameters, and what gives those of the cadences."""
     factor = np.linalg.cholesky(_damped(equations.cadence, damping))
     right = np.concatenate([equations.mixed, equations.cadence_gradient[..., None]], axis=2)
     right = np.linalg.solve(factor, right)
@@ -85,8 +80,8 @@ def _eliminate(equations, damping=0.0):
 def _inverse(matrix, whole, basis, *, known=False):
     """Inverse of a reduced matrix in some directions, in the scales of the whole one.
 
-    What is left of a direction that the cadences can imitate is a rounding error in these scales:
-    it gets a huge variance, or none if only the ``known`` ones count.
+    In these scales a direction that the cadences can imitate is a rounding error: it gets a huge
+    variance, or none if only the ``known`` ones count.
     """
     if not basis.shape[1]:
         return np.zeros_like(matrix)
@@ -94,31 +89,27 @@ def _inverse(matrix, whole, basis, *, known=False):
     scaled = basis * np.where(diagonal > 0, np.maximum(diagonal, 1e-300) ** -0.5, 0.0)
     values, vectors = np.linalg.eigh(scaled.T @ matrix @ scaled)
     largest = max(values[-1], 1e-300)
-    vectors = scaled @ vectors[:, values > _KNOWN * largest if known else slice(None)]
-    values = values[values > _KNOWN * largest] if known else np.maximum(values, _FLOOR * largest)
-    return (vectors / values) @ vectors.T
+    kept = values > _KNOWN * largest if known else slice(None)
+    vectors = scaled @ vectors[:, kept]
+    return (vectors / np.maximum(values[kept], _FLOOR * largest)) @ vectors.T
 
 
-def _distance(problem, equations, shared, only):
-    """By how much an undamped step would lower the cost."""
+def expected_gain(problem, state, equations=None, only=None):
+    """By how much an undamped step from a state would lower the cost, to second order."""
+    equations = equations or problem.expand(state)
     try:
         matrix, gradient, _, right = _eliminate(equations)
     except np.linalg.LinAlgError:
         return np.inf
-    basis = _directions(problem, _outward(problem, shared, gradient), only)
+    basis = _directions(problem, _outward(problem, state.shared, gradient), only)
     inverse = _inverse(matrix, equations.shared, basis, known=True)
     return float(np.sum(right[..., -1] ** 2) + gradient @ inverse @ gradient)
 
 
-def expected_gain(problem, state):
-    """By how much a step from a state would lower the cost, to second order."""
-    return _distance(problem, problem.expand(state), state.shared, None)
-
-
 def _step(problem, state, equations, only, damping):
-    """The state after one damped step and its expected gain, or None if there is no step."""
+    """The state after one damped step, or None, and its expected gain."""
     try:
-        # The cadences follow the shared parameters; only far from the minimum are they held too.
+        # The cadences follow the shared parameters, but far from the minimum.
         held = 0.0 if problem.options.positions == "path" else damping * min(damping, 1.0)
         matrix, gradient, factor, right = _eliminate(equations, held)
     except np.linalg.LinAlgError:
@@ -148,7 +139,6 @@ def _step(problem, state, equations, only, damping):
     trial = State(new, state.interpixel + shared[s:], cadence)
     if not all(np.isfinite(values).all() for values in vars(trial).values()):
         return None, 0.0
-    # By how much the cost would be lower if the equations held everywhere.
     own = cadence - state.cadence
     gain = 2 * (equations.shared_gradient @ shared + np.sum(equations.cadence_gradient * own))
     gain -= shared @ equations.shared @ shared + 2 * np.sum(own * (equations.mixed @ shared))
@@ -156,28 +146,27 @@ def _step(problem, state, equations, only, damping):
 
 
 def solve(problem, state, max_steps, report, *, n_steps=0, only=None, loosely=False):
-    """Minimize the cost from a state.
+    """Minimize the cost from a state; ``report`` is called with it after each step.
 
     With ``only``, the other shared parameters and the interpixel map wait; ``loosely``: the result
-    is a start for what follows. ``report`` is called with the cost after each step.
+    is a start for what follows.
     """
     equations = problem.expand(state)
     if not np.isfinite(equations.cost):
         raise ValueError("the model is not finite at the starting values")
-    relative = _LOOSE if loosely else _RELATIVE
     damping, growth = _LATER_DAMPING if n_steps else _FIRST_DAMPING, 2.0
 
     def converged():
-        distance = _distance(problem, equations, state.shared, only)
-        return distance < max(_ABSOLUTE, relative * equations.cost)
+        gain = expected_gain(problem, state, equations, only)
+        return gain < max(_ABSOLUTE, (_LOOSE if loosely else _RELATIVE) * equations.cost)
 
     near = converged()
     for _ in range(max_steps):
         if (near and loosely) or damping > _LARGEST_DAMPING:
             break
         trial, promise = _step(problem, state, equations, only, damping)
-        expanded = None if trial is None else problem.expand(trial)
-        gain = -np.inf if expanded is None else equations.cost - expanded.cost
+        expanded = problem.expand(trial) if trial else None
+        gain = equations.cost - expanded.cost if trial else -np.inf
         if not gain > 0:
             if near:
                 break
@@ -195,7 +184,7 @@ def solve(problem, state, max_steps, report, *, n_steps=0, only=None, loosely=Fa
 
 
 def covariances(solution):
-    # The errors that are quoted, and the same weights of outliers.
+    """`Errors` as they are quoted, with the same weights of outliers."""
     problem, state = solution.problem, solution.state
     soft = problem.options.loss_scale * problem.error_scale / problem.misfit
     options = replace(problem.options, loss_scale=soft)
@@ -214,22 +203,20 @@ def covariances(solution):
 
 
 def psf_covariance(solution, response):
-    """Covariance of shared parameters, of a fit without the responses ``(p,)`` found later."""
+    """Covariance of shared parameters, fitted without the responses ``(p,)`` found later."""
     options, state = replace(solution.problem.options, interpixel=np.inf), solution.state
     problem = replace(solution.problem, options=options, error_scale=1.0)
     equations = problem.expand(replace(state, interpixel=np.zeros(problem.n_pixels)))
     matrix, s = _eliminate(equations)[0], problem.n_shared
     basis = np.eye(s)[:, ~problem.at_bounds(state)]
     covariance = _inverse(matrix[:s, :s], equations.shared[:s, :s], basis)
-    # The shared parameters have taken up a part of the responses, all of one variance; the others
-    # are what is left of it.
+    # The shared parameters have taken up a part of the responses, which are of one variance.
     leak = covariance @ matrix[:s, s:]
     whole = np.trace(matrix[s:, s:])
     left = max(whole - np.sum(leak * matrix[:s, s:]), np.finfo(float).eps * whole, 1e-300)
     variance = response @ matrix[s:, s:] @ response / left
     covariance = covariance + variance * leak @ leak.T
-    # No parameter is more uncertain than its prior; sums of squares stay positive where the
-    # variances differ by many orders.
+    # No parameter is more uncertain than its prior; sums of squares stay positive.
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
@@ -237,3 +224,26 @@ def psf_covariance(solution, response):
     turn = np.linalg.svd(root / prior[:, None])
     root = root @ turn.Vh.T / np.hypot(1.0, turn.S)
     return root @ root.T
+
+
+def star_columns(problem, state, errors, star):
+    """Position and flux of a star, and their errors, by name."""
+    n, k, m = errors.mixed.shape
+    by = np.zeros((2, n, k + m))
+    for axis, column, derivative in problem.position_terms(state, star):
+        by[axis, :, column] = derivative
+    own, common = by[..., :k], by[..., k:]
+    variances = np.einsum("ani,nij,anj->an", own, errors.cadence, own)
+    variances += 2 * np.einsum("ani,nij,anj->an", own, errors.mixed, common)
+    variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
+    (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
+    x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
+    flux_err = np.hypot(deviation(errors, problem.flux_number(star)), flux * errors.common[star])
+    return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
+
+
+def deviation(errors, column):
+    k = errors.cadence.shape[1]
+    if column < k:
+        return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))
+    return np.full(len(errors.cadence), max(errors.shared[column - k, column - k], 0.0) ** 0.5)

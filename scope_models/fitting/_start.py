@@ -29,21 +29,18 @@ __all__ = [
     "with_response",
 ]  # fmt: skip
 
-# A local maximum of the median image is a star if it is brighter than this part of the brightest
-# pixel, and than so many errors of the median image. Most that are found: time goes with their
-# square.
+# Maxima of the median image are stars above this part of the brightest pixel and so many errors;
+# most of them: time goes with their square.
 _LEAST_PART, _LEAST_SIGNIFICANCE, _MOST_FOUND = 0.05, 10.0, 11
-# Maxima so near a star are its own, pixels; and the half of a pixel within which a given star is
-# the target, whose coordinates may be of another epoch.
-APART, _ITSELF = 1.5, 0.5
-# Given stars farther outside of the pixels have no light in them, pixels.
-_FARTHEST = 5.0
+# Pixels: maxima so near a star are its own; a given star so near the target, whose coordinates may
+# be of another epoch, is it; one so far outside of the stamp has no light in it.
+APART, _ITSELF, _FARTHEST = 1.5, 0.5, 5.0
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
-# The empirical term: part of the flux, width of its first function, and order in the models of
-# `make_rich_prfs`. Widths from 0.7 to 0.8 describe the real stars of the documentation best.
+# The empirical term: part of the flux, width of its first function (0.7 to 0.8 describe the real
+# stars of the documentation best), and order in `make_rich_prfs`.
 _EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA, _RICH_ORDER = 0.02, 0.75, 6
-# Pixels that are brighter than this part of the brightest one give the first positions, within so
-# many pixels of it, and where so high a percentile over the cadences is bright.
+# First positions are of pixels above this part of the brightest one, so many pixels around it, and
+# where this percentile over the cadences is bright.
 _BRIGHT, _NEAR, _OFTEN = 0.1, 2, 98
 # Stars fainter than this part of the target are constant by default.
 _FAINT = 0.1
@@ -51,13 +48,10 @@ _FAINT = 0.1
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PixelData(PixelSeries):
-    """Pixels and cadences of a target pixel file that a fit uses, NaN where they are not used.
+    """Pixels and cadences that a fit uses, NaN where not; POS_CORR interpolated where unusable."""
 
-    Unusable POS_CORR are interpolated, and None if there are fewer than three others.
-    """
-
-    light: np.ndarray  # flux with saturated pixels, for the first guess of the positions
-    pos_err: np.ndarray | None  # (n, 2), infinite where POS_CORR is interpolated; None if unknown
+    light: np.ndarray  # flux with saturated pixels
+    pos_err: np.ndarray | None  # (n, 2), infinite where POS_CORR is interpolated
     pixels: np.ndarray  # (ny, nx), bool: those with data
 
     @property
@@ -65,8 +59,8 @@ class PixelData(PixelSeries):
         return self.pixels.shape
 
 
-def read_data(series, flux_err, detector, n_free, *, saturation, moved):
-    """Take the usable data of a `PixelSeries`, with the positions ``moved`` and their errors."""
+def read_data(series, flux_err, limit, moved, n_free):
+    """Take the usable data of a `PixelSeries`, with positions ``moved`` and their errors."""
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
@@ -79,8 +73,7 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
         raise ValueError(message) from None
     _drop_bad_errors(flux, error)
     light = flux.copy()
-    if saturation:
-        _drop_saturated(flux, detector.full_flux)
+    _drop_saturated(flux, limit)
     good = np.isfinite(flux)
     cadences = np.isfinite(series.time) & (good.sum(axis=(1, 2)) > n_free)
     if not cadences.any() or good.any(axis=0).sum() <= n_free:
@@ -93,30 +86,29 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     if np.sum(usable) < 3:
         pos_corr = pos_err = None
     else:  # straight lines over unusable cadences
-        number = np.arange(len(usable))
-        lines = [np.interp(number, number[usable], column[usable]) for column in pos_corr.T]
-        pos_corr = np.column_stack(lines)
+        x, at = np.arange(len(usable)), np.flatnonzero(usable)
+        pos_corr = np.column_stack([np.interp(x, at, column[at]) for column in pos_corr.T])
         if pos_err is not None:
             pos_err = np.where(usable[:, None], pos_err, np.inf)
-    values = {"flux": flux, "flux_err": error, "light": light[cadences], "pos_corr": pos_corr}
-    values |= {"pos_err": pos_err, "pixels": np.isfinite(flux).any(axis=0)}
-    return PixelData(**vars(series[cadences]) | values)
+    return PixelData(**vars(series[cadences]) | {
+        "flux": flux, "flux_err": error, "light": light[cadences], "pos_corr": pos_corr,
+        "pos_err": pos_err, "pixels": np.isfinite(flux).any(axis=0),
+    })  # fmt: skip
 
 
 def _drop_bad_errors(flux, error):
     bad = np.isfinite(flux) & ~(np.isfinite(error) & (error > 0))
-    if not bad.any():
-        return
     if bad.sum() == np.isfinite(flux).sum():
         message = "`flux_err` must be positive: the file has no errors; pass them as flux_err=..."
         raise ValueError(message)
-    message = f"{bad.sum()} pixel values without a positive error are left out"
-    warnings.warn(message, FitWarning, stacklevel=5)
+    if bad.any():
+        message = f"{bad.sum()} pixel values without a positive error are left out"
+        warnings.warn(message, FitWarning, stacklevel=5)
     flux[bad] = np.nan
 
 
 def _drop_saturated(flux, limit):
-    """Leave out the columns of pixels whose wells are full: the light runs along them."""
+    """Leave out columns with full wells, along which the light runs."""
     full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
     if columns.size:
@@ -145,10 +137,9 @@ def read_places(stars, neighbors, series, *, several):
 
 
 def _by_coordinates(series, peaks):
-    """Return the maximum at the file's coordinates, None if that is the first, the brightest.
+    """Return the bright maximum of the aperture near the coordinates, None if it is the first.
 
-    Of several in the pipeline's aperture it is bright and near the place, which may err by 1 px;
-    without a maximum within twice that, the coordinates are wrong.
+    These may err by 1 px, and are wrong without a maximum within twice that.
     """
     place, (columns, rows) = target_place(series), peaks.T.astype(int)
     light = median_image(series.flux)[rows, columns]
@@ -158,7 +149,7 @@ def _by_coordinates(series, peaks):
         away = (peaks - place).T
         if np.hypot(*away).min(initial=np.inf) < 2 * COORDINATES:
             light = light * nearness(*away)
-    best = np.argmax(light) if len(peaks) else 0
+    best = np.argmax(light) if len(peaks) else 0  # the first is the brightest
     return peaks[best] if best else None
 
 
@@ -200,8 +191,8 @@ def _read_places(name, places, series):
 def located(data, target, others, own):
     """Return where the target is sought, None for the brightest light; its center; other stars.
 
-    Those within ``own`` pixels of the target are the target. But a given star at the brightest
-    light is another one if there is light of no given star.
+    Those within ``own`` pixels are the target; but a given star at the brightest light is another
+    one if there is light of no given star.
     """
     center = np.median(centroids(data, target), axis=0)
     itself = np.hypot(*(others - center).T) <= own
@@ -214,7 +205,6 @@ def located(data, target, others, own):
 
 
 def find_stars(flux):
-    """Return columns and rows ``(k, 2)`` of the maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
     if not good.any():
         return np.zeros((0, 2))
@@ -232,11 +222,6 @@ def find_stars(flux):
 
 
 def make_prf(psf, sensitivity, empirical):
-    """The model of a star, with the fixed parameters of the fit.
-
-    ``psf`` is a number of Gaussian components, a density or a sum of densities, or a PRF;
-    ``empirical`` is the order of the empirical term, or of the correction of a table, 0 for none.
-    """
     if isinstance(psf, (models.PRF, models.TabulatedPRF)):
         return _given_prf(psf, sensitivity, empirical)
     known = models.SensitivityPolynomial, models.DiffusionSensitivity, type(None)
@@ -251,7 +236,7 @@ def make_prf(psf, sensitivity, empirical):
         parts = [*zip(_FRACTIONS, _SIGMAS, strict=True)][:psf]
         psf = reduce(add, (models.BivariateGaussianPSF(part, 0, 0, s, s) for part, s in parts))
     if empirical:
-        # A change of its flux or width is a change of the coefficients, which are linear.
+        # A change of its flux or width is one of the coefficients, which are linear.
         number, sigma = models.PRF(psf).n_components, _EMPIRICAL_SIGMA
         psf = psf + models.GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
         fixed |= {f"{name}_{number}": True for name in ("flux_fraction", "sigma_x", "sigma_y")}
@@ -262,7 +247,6 @@ def make_prf(psf, sensitivity, empirical):
 
 
 def _given_prf(prf, sensitivity, order):
-    """A PRF of the caller, if it is a table times a smooth correction of that order."""
     prf = prf if isinstance(prf, models.PRF) else models.PRF(prf)
     if sensitivity is not None:
         raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
@@ -277,10 +261,10 @@ def _given_prf(prf, sensitivity, order):
 
 
 def make_rich_prfs(sensitivity):
-    """Models of a star whose PSF is not a sum of Gaussians: a Gaussian and an empirical term.
+    """Models of a Gaussian and an empirical term.
 
-    Around a Gaussian of another width the term has rings, so that it is free in the first model. In
-    the second one it is fixed: all but the positions is linear, and nothing ends at a bound.
+    Around a Gaussian of another width the term has rings, so that it is free in the first model;
+    with the fixed one of the second all but the positions is linear: nothing ends at a bound.
     """
     for held in (False, True):
         sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), held)
@@ -291,7 +275,6 @@ def make_rich_prfs(sensitivity):
 
 
 def with_response(prf):
-    """The same model of a star with pixels that respond unevenly within, to second order."""
     other = models.PRF(prf.psf * models.SensitivityPolynomial([1, 0, 0], [1, 0, 0]))
     for name in prf.param_names:
         getattr(other, name).bounds = getattr(prf, name).bounds
@@ -299,7 +282,7 @@ def with_response(prf):
 
 
 def _with_fixed(prf, fixed):
-    """Fix parameters of a PRF, its constants (the flux), and diffusion beside a free width."""
+    """Fix parameters of a PRF, constants of its response, and diffusion beside a free width."""
     kinds = prf.parameter_kinds
     held = {name for name, (_, power) in prf.response_powers.items() if power == 0}
     if any(kind == "width" and not getattr(prf, name).fixed for name, kind in kinds.items()):
@@ -329,7 +312,7 @@ def starting_state(problem):
 
 
 def centroids(data, place=None):
-    """First moments of the bright pixels around the brightest, or near a place, ``(n, 2)``."""
+    """First moments of bright pixels around the brightest, or near a place, ``(n, 2)``."""
     image = median_image(data.light)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
@@ -342,20 +325,19 @@ def centroids(data, place=None):
             at = f"({place[0]:.6g}, {place[1]:.6g})"
             raise ValueError(f"no pixel is within {_NEAR} px of the star at {at}")
         image, flux = image * near, flux * near
-    # Where the star ever is for some time; a cosmic ray is elsewhere, most often.
+    # Where the star is for some time; cosmic rays are elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)
     flux = np.where(often > _BRIGHT * often.max(), flux, -np.inf)
     peak = flux.argmax(axis=1)
     near = np.abs(rows - rows[peak, None]) <= _NEAR
     near &= np.abs(columns - columns[peak, None]) <= _NEAR
-    light = np.where(near, np.maximum(flux - _BRIGHT * flux.max(axis=1, keepdims=True), 0.0), 0.0)
+    light = near * np.maximum(flux - _BRIGHT * flux.max(axis=1, keepdims=True), 0.0)
     light[light.sum(axis=1) <= 0] = np.maximum(image, 0.0)
     light /= light.sum(axis=1, keepdims=True)
     return np.column_stack([light @ columns, light @ rows])
 
 
 def is_faint(data, target, other):
-    """Return whether the light around a star is less than a tenth of that around the target."""
     image = median_image(data.light)
     row, column = np.indices(image.shape)
     near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
@@ -363,16 +345,16 @@ def is_faint(data, target, other):
 
 
 def linear_start(problem, state):
-    """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state."""
     shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
-    each = problem.options.background == "cadence"
-    columns = problem.index.fluxes + problem.index.backgrounds * each
+    files = problem.slices if problem.options.background == "cadence" else ()
+    columns = [*map(problem.flux_number, range(len(problem.stars)))]
+    columns += map(problem.background_number, range(len(files)))
     values = np.zeros((len(problem.flux), len(columns)))
     for part in problem.chunks():
         design = np.zeros((*problem.flux[part].shape, len(columns)))
         for i, star in enumerate(problem.stars):
             design[:, problem.slices[star.stamp], i] = problem.unit_images(state, part, i)
-        for i, pixels in enumerate(problem.slices if each else (), start=len(problem.stars)):
+        for i, pixels in enumerate(files, start=len(problem.stars)):
             design[:, pixels, i] = 1.0
         weight = problem.weight[part]
         design = (design * weight[..., None]).transpose(0, 2, 1)

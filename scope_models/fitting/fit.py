@@ -1,7 +1,6 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
 import warnings
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial, reduce
 from itertools import chain
@@ -13,11 +12,18 @@ from astropy.stats import mad_std
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import _doubts, _start
+from scope_models.fitting import _start
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, expected_gain, solve
-from scope_models.fitting.result import make_results
+from scope_models.fitting.result import (
+    CERTAIN,
+    LARGEST_FLUX,
+    LARGEST_SCATTER,
+    doubts_of,
+    is_measured,
+    make_results,
+)
 from scope_models.io.pixels import read_pixels
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -30,16 +36,13 @@ _PRIOR = 0.01
 _FEW_STEPS, _MANY_STEPS = 20, 60
 # Standard deviations by which chi-squared may exceed a true model's.
 _EXCESS = 5.0
-# Standard deviations of the positions about POS_CORR, as a part of the motion's, and of the scale
-# of the motion, where the PSF is wrong.
+# Standard deviations of positions, in parts of POS_CORR's, and of scale, where the PSF is wrong.
 _POSITION_PART, _HELD = 0.1, 0.001
 # Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
-# Seconds after which a fit shows its progress, and how often errors are scaled, at most, where the
-# model is not true.
+# Seconds until a fit shows its progress; how often errors are scaled at most.
 _PATIENCE, _RESCALINGS = 5.0, 8
-# So many images of stars and values of pixels at most, and cadences at least, give the first guess
-# for those of a long series.
+# Images of stars and values of pixels at most, and cadences at least, of a first guess.
 _FEW, _FEW_VALUES, _FEWEST = 300, 30_000, 50
 # Cadences from which the response of each pixel is fitted where no PSF describes the pixels.
 _ENOUGH = 100
@@ -53,60 +56,55 @@ def fit_tpf(
 
     .. math:: f_{t,p} = b_p F_t \int_p P(x - x_t, y - y_t)\, s(u, v)\, dx\, dy + B_t
 
-    with the shape of the PSF P, the sensitivity s and the response b of each pixel shared by all
-    cadences, and position, flux and background for each of them. Levenberg-Marquardt steps with
-    analytic derivatives; the parameters of the cadences are eliminated from each step, so that
-    time and memory are linear in cadences.
+    with the PSF P, the sensitivity s and the response b of each pixel shared by all cadences, and
+    position, flux F and background B of each cadence.
 
     Parameters
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
-        The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
-        cadences with bad quality flags are left out as lightkurve does. Several files of one CCD
-        are fitted at once: with one PSF and sensitivity, and one motion up to a linear map that is
-        fitted with a prior of 0.3 about 1, in the cadences that all have.
+        The pixels, without the background of FLUX_BKG: the object, or a file, whose cadences with
+        bad quality flags are left out as lightkurve does. Several files of one CCD share PSF,
+        sensitivity, cadences, and the motion up to a linear map with a prior of 0.3 about 1.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
         ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the pixels;
-        else what describes them better without a parameter at a bound, one or two components, or
-        one with an empirical term of order 6, with positions near POS_CORR.
+        else the better one, without a parameter at a bound, of these and one component with an
+        empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
-        Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
-        constants are always fixed, because they are the flux. None: the response is 1; if ``psf``
-        is None too, and the model describes the pixels only with a response within them, which
-        the motion measures to 1.25 % at a pixel's edge, it is a polynomial of second order.
+        Response within a pixel: starting values, and by its ``fixed`` what is fitted; constants
+        are always fixed, because they are the flux. None: 1; or, if ``psf`` is None too, of second
+        order where only that describes the pixels, and the motion measures it to 1.25 % at a
+        pixel's edge.
     stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
         Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
         ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
         the local maxima of the median image above a twentieth of the brightest pixel and ten
-        errors, the brightest first after the target: fainter stars are given. By default one
-        star, the target: the maximum in the pipeline's aperture, of several one at the file's
-        coordinates. For several files, a sequence of them.
+        errors, the brightest first after the target. By default the target alone: the maximum in
+        the pipeline's aperture, of several one at the file's coordinates. For several files, a
+        sequence of them.
     neighbors : as ``stars``, optional
-        Positions of the other stars only, of which none is the target, even where one is brighter;
-        the target among places on the sky is left out. "find": the maxima more than 1.5 px from
-        the target.
+        Positions of the other stars only, even brighter ones, without a target among places on the
+        sky. "find": the maxima more than 1.5 px from the target.
     empirical : int, optional
-        Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
-        Its width and its part of the flux are fixed, its coefficients have a prior of standard
-        deviation 10. For another width, give the term as a part of ``psf``. For a table of a PRF,
-        the order of the smooth factor of a `~scope_models.models.CorrectedPRF`, whose coefficients
-        have a prior of standard deviation 0.1.
+        Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF, with fixed width
+        and part of the flux, and a prior of standard deviation 10 of its coefficients; 0 for none.
+        For another width, give the term as a part of ``psf``. For a table of a PRF, the order of
+        the smooth factor of a `~scope_models.models.CorrectedPRF`, with a prior of 0.1.
     interpixel : float, optional
-        Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
-        None: 0.01 if the model then describes the pixels with a response that agrees with it, as
-        in simulations; else 0, because b would describe errors of the PSF.
+        Standard deviation, before the fit, of the response b between pixels, whose mean, weighted
+        by the median image, is 1; 0 fixes it at 1. None: 0.01 if the model then describes the
+        pixels with a response that agrees with it; else 0.
     positions : {"start", "free", "prior", "path"} or Motion, optional
-        What POS_CORR is used for, through an affine map: the first guess of free positions,
-        nothing, a prior, or the positions themselves. The map is fitted too for the last two,
-        with a prior of 0.02 about the scale 1. A motion, as `~scope_models.Motion.from_tpfs` gives
-        it, is a prior in place of POS_CORR, with its errors or else ``position_error``.
+        What an affine map of POS_CORR is: the first guess of free positions, nothing, a prior, or
+        the positions themselves. For the last two the map is fitted, with a prior of 0.02 about
+        the scale 1. A motion is a prior in place of POS_CORR, with its errors or else
+        ``position_error``.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
-        of a star's light is that plus a polynomial of fitted position and slow time: see the
-        Notes. "auto": "pixels" for 100 cadences and more that no PSF describes, as in real
-        files, if PSF, sensitivity, b and focus are left to the data; else "psf".
+        of a star's light is that plus a polynomial of fitted position and slow time, by least
+        squares without ``sensitivity``, ``focus`` and ``interpixel``. "auto": "pixels" for 100
+        cadences and more that no PSF describes, if these and ``psf`` are None; else "psf".
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     options : FitOptions, optional
@@ -117,8 +115,7 @@ def fit_tpf(
     Returns
     -------
     TPFFit or tuple of TPFFit
-        The fit; for several files one of each. It is returned, with a warning, even if it has not
-        converged, which it has not where a parameter is at a bound.
+        The fit; for several files one of each. With a parameter at a bound it has not converged.
 
     Raises
     ------
@@ -128,28 +125,18 @@ def fit_tpf(
     Warns
     -----
     FitWarning
-        If data are left out, no star is seen, the fit has not converged, the motion does not
-        constrain the sensitivity, a response within pixels that is not in the model would lower
-        chi-squared by more than 25, or the model does not describe the pixels, so that
-        ``error_scale`` is above 1.
+        If data are left out, no star is seen, the fit has not converged, the model does not
+        describe the pixels, or the motion does not constrain the sensitivity; or if one that is not
+        in the model would lower chi-squared by more than 25.
 
     Notes
     -----
-    Conventions fix what the pixels do not constrain. The constants of the sensitivity are 1.
-    The mean of b, weighted by the median image, is 1: the common response of the pixels is part
-    of the flux. x and y are the position of the first component. Pixel values that are not
-    finite, and cadences with too few of them, are left out.
+    Pixel values that are not finite, and cadences with too few of them, are left out.
 
-    Where the model is not true, and the typical squared residual of all pixels, or of those with
-    light, from medians, is above 1.5 squared errors, all errors are scaled up by the root of the
-    larger one, the attribute ``error_scale``, so that priors keep their weight and the errors of
-    the parameters grow. With ``FitOptions(loss="soft_l1")`` the errors of the fit itself follow all
-    pixels alike, and only the errors of the result follow ``error_scale``. Chi-squared is always
-    that of the given errors. The coefficients of a sensitivity then describe errors of the PSF.
-
-    With ``response="pixels"``, b is 1, and degree and priors of the polynomials follow from the
-    data. Every tenth cadence is held out, outliers are left out, and the loss is that of least
-    squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
+    Where the typical squared residual of all pixels, or of those with light, from medians, is above
+    1.5 squared errors, the larger one's root, ``error_scale``, scales all errors, but not
+    chi-squared. With ``FitOptions(loss="soft_l1")`` all pixels alike scale the errors of the fit,
+    and ``error_scale`` only those of the result.
 
     Examples
     --------
@@ -190,24 +177,25 @@ def fit_tpf(
     choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
         problem, detectors = _make_problem(series, places, prf, flux_err, options, motion)
-        steps = partial(solve, report=bar)
+        report = partial(_report, bar)
+        steps = partial(solve, report=report)
         response, tried, solution = _fit_psf(problem, response, sensitivity, steps, **choice)
         fits = make_results(solution, covariances(solution), detectors, series)
         if response == "pixels":
-            fits = fit_response(problem, solution, fits, bar)
+            fits = fit_response(problem, solution, fits, report)
     with one_thread:
         models = _of_models(response, tried, solution, fits[0])
-        for doubt in chain(models, *map(_doubts.doubts_of, fits)):
+        for doubt in chain(models, *map(doubts_of, fits)):
             warnings.warn(doubt, FitWarning, stacklevel=2)
     return tuple(fits) if several else fits[0]
 
 
 def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
-    """Return the kind of response, the solutions of all models of few cadences, and the best."""
+    """Return the kind of response, solutions of all models of few cadences, and the best."""
     left = any_psf and any_response and sensitivity is None and problem.options.focus is None
-    # Whether the flux where the fit starts is above what the noise of a place makes.
+    # Whether the flux where the fit starts is above the noise of a place.
     flux = problem.fluxes(_start.starting_state(problem))
-    seen = np.median(flux) > _doubts.CERTAIN * mad_std(flux) / np.sqrt(len(flux))
+    seen = np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
     simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
     if response != "pixels" or not seen:
         candidates = _candidates(problem, sensitivity, simple, any_psf, any_response)
@@ -233,12 +221,11 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
 
 
 def _with(problem, prf=None, **options):
-    """Return the problem with other options, and with another PRF if there is one."""
     return replace(problem, prf=prf or problem.prf, options=replace(problem.options, **options))
 
 
 def _candidates(problem, sensitivity, simple, any_psf, any_response):
-    """Models to try, the simplest first or only, and how many steps each is worth."""
+    """Models to try, the simplest first, and how many steps each is worth."""
     plain = {"interpixel": 0.0} if any_response else {}
     if not any_psf:
         yield problem, np.inf
@@ -255,7 +242,7 @@ def _candidates(problem, sensitivity, simple, any_psf, any_response):
 
 
 def _held(problem):
-    """Options for positions near those of POS_CORR: a PSF that is wrong absorbs motion."""
+    """Options for positions near POS_CORR, because a wrong PSF absorbs motion."""
     options, pos_corr = problem.options, problem.data.pos_corr
     if options.positions != "start" or pos_corr is None or not pos_corr.std(axis=0).all():
         return {}
@@ -264,13 +251,13 @@ def _held(problem):
 
 
 def _tried(candidates, steps, *, few, doubtful=False):
-    """Fit models until one describes some of the pixels; return the solutions by rank.
+    """Fit models to few cadences until one describes them; return the solutions by rank.
 
-    They have the cadences that a choice needs; a guess, without ``few``, up to twice as many.
+    A guess, without ``few``, has up to twice as many as a choice needs.
     """
     tried = []
     for problem, most in candidates:
-        # A simpler model after a richer one takes its place where that one ends at a bound.
+        # A simpler model after a richer one takes its place if that one ends at a bound.
         if tried and problem.n_shared < tried[-1].problem.n_shared and not _ends(tried[-1]):
             continue
         values = _FEW_VALUES // problem.flux.shape[1]
@@ -286,21 +273,20 @@ def _tried(candidates, steps, *, few, doubtful=False):
 
 
 def _fitted(problem, steps, most, guess=None, *, doubtful=False):
-    """Fit everything, with errors that are scaled to the residuals; return the solution.
+    """Return the solution with errors that are scaled to the residuals, in ``most`` steps.
 
-    After ``most`` steps the errors stay. ``guess``: the solution for some of the cadences, which
-    constrain nearly as well what all share. ``doubtful``: a model that is not true with a response
-    between pixels is not finished, since the same model without that response is better.
+    ``guess`` is the solution for some of the cadences; ``doubtful``: a model that is not true with
+    a response between pixels is given up, for it is better without.
     """
     steps = partial(steps, max_steps=min(problem.options.max_steps, most))
     state = _start.starting_state(problem)
-    # What the shape of the PSF can imitate is freed when the shape is about right.
+    # What the shape of the PSF can imitate waits until that is about right.
     early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
     if guess is not None:
         state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
         state = _start.linear_start(problem, state)
         early, most = {"n_steps": guess.n_steps}, np.inf
-    # Scaled from the start: else all residuals are outliers to a robust loss.
+    # Else all residuals are outliers to a robust loss.
     problem = problem.rescaled(state)
     solution = steps(problem, state, loosely=True, **early)
     for remaining in reversed(range(_RESCALINGS)):
@@ -317,12 +303,10 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
 
 
 def _of_all(solution, problem, steps, most):
-    """Return the fit of all cadences of a problem, from the solution for some of them."""
     return _fitted(replace(solution.problem, stamps=problem.stamps), steps, most, solution)
 
 
 def _of_models(response, tried, solution, fit):
-    """Doubts about a fit that other models raise: a response within pixels, and another flux."""
     if gain := response == "psf" and _hidden_gain(solution):
         yield (
             f"a response within pixels would lower chi-squared by {gain:.3g}, and without it the "
@@ -341,9 +325,9 @@ def _of_models(response, tried, solution, fit):
 
 
 def _with_response(solution, steps, n_cadences):
-    """Return the fit with a response within pixels if that is measured in so many cadences.
+    """Return the fit with a response within pixels if so many cadences measure it.
 
-    Else the motion does not tell it from the width, and the flux would be uncertain.
+    Else it cannot be told from the width, and the flux would be uncertain.
     """
     guess = len(solution.problem.flux) < n_cadences
     own = {"n_steps": solution.n_steps, "max_steps": _MANY_STEPS}
@@ -351,7 +335,7 @@ def _with_response(solution, steps, n_cadences):
     powers, errors = other.problem.prf.response_powers, np.sqrt(np.diag(covariances(other).shared))
     errors = errors * np.sqrt(len(other.problem.flux) / n_cadences)
     measured = all(
-        _doubts.is_measured(powers[parameter.name], error)
+        is_measured(powers[parameter.name], error)
         for parameter, error in zip(other.problem.parameters, errors, strict=False)
         if parameter.kind == "response"
     )
@@ -359,7 +343,6 @@ def _with_response(solution, steps, n_cadences):
 
 
 def _richer(solution):
-    """Return the problem with a response within pixels, and the state with one of 1."""
     problem, state = solution.problem, solution.state
     richer = _with(problem, _start.with_response(problem.prf))
     values = {parameter.name: parameter.start for parameter in richer.parameters}
@@ -370,21 +353,20 @@ def _richer(solution):
 def _hidden_gain(solution):
     """By how much a response within pixels would lower chi-squared of a fit without one.
 
-    0 if by chance; where the model is not true, so that its errors are scaled up; and with a focus,
-    which is of first order.
+    0 if by chance, for a model that is not true, and with a focus, which is of first order.
     """
     prf, focus = solution.problem.prf, solution.problem.options.focus
     given = prf.sensitivity or prf.table or focus
     if given is not None or not _is_true(solution):
         return 0.0
     gain = expected_gain(*_richer(solution))
-    return gain if gain > _doubts.CERTAIN**2 else 0.0
+    return gain if gain > CERTAIN**2 else 0.0
 
 
 def _is_true(solution, *, strictly=False):
-    """Whether the model describes the pixels, with a response that agrees with its prior."""
+    """Whether the model describes the pixels, with a response as its prior has it."""
     problem, prior = solution.problem, solution.problem.options.interpixel
-    agrees = not prior or np.std(solution.state.interpixel) <= _doubts.LARGEST_SCATTER * prior
+    agrees = not prior or np.std(solution.state.interpixel) <= LARGEST_SCATTER * prior
     excess = solution.equations.cost / problem.dof - 1
     enough = solution.converged and excess < _EXCESS * np.sqrt(2 / problem.dof)
     return problem.misfit == 1.0 and agrees and (enough or not strictly)
@@ -395,25 +377,22 @@ def _ends(solution):
 
 
 def _is_strange(solution):
-    """Whether the flux is not in the pixels."""
     problem, state = solution.problem, solution.state
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     images = problem.unit_images(state, slice(None, None, _SOME))
     inside = np.median(images.sum(axis=1)) >= _LEAST_INSIDE
-    return not (inside and 0 < np.median(problem.fluxes(state)) < _doubts.LARGEST_FLUX * abs(light))
+    return not (inside and 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light))
 
 
 def _rank(solution):
-    """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
     problem = solution.problem
-    # A free response between pixels describes errors of the PSF where the model is not true.
+    # A response between pixels describes errors of a PSF that is wrong.
     absorbs = bool(problem.options.interpixel) and not _is_true(solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
     return absorbs, _is_strange(solution), _ends(solution), problem.misfit, information
 
 
 def _make_problem(series, places, prf, flux_err, options, motion):
-    """What is fitted, and the detectors that recorded it."""
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
@@ -422,22 +401,22 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
-        given = {"saturation": options.saturation, "moved": moved, "n_free": n_free + len(others)}
-        stamps.append(_start.read_data(item, flux_err, detectors[-1], **given))
+        full = detectors[-1].full_flux if options.saturation else np.inf
+        stamps.append(_start.read_data(item, flux_err, full, moved, n_free + len(others)))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])
     if not common.size:
         raise ValueError("the files have no cadence in common")
-    if len(stamps) > 1:
-        stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
+    stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     found = [_start.located(stamp, *item) for stamp, item in zip(stamps, places, strict=True)]
     stars, (target, first, _) = [], found[0]
     for number, (stamp, (_, center, others)) in enumerate(zip(stamps, found, strict=True)):
         stars.append(FitStar(*(center - first), number))
         for other in others:
-            weak = options.neighbor_flux == "auto" and _start.is_faint(stamp, center, other)
-            constant = options.neighbor_flux == "constant" or weak
+            constant = options.neighbor_flux == "constant"
+            if options.neighbor_flux == "auto":
+                constant = _start.is_faint(stamp, center, other)
             stars.append(FitStar(*(other - first), number, constant))
     span = stamps[0].time[[0, -1]].tolist()
     if options.focus is not None and len(common) * options.focus < span[1] - span[0]:
@@ -446,17 +425,14 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     return Problem(*given), detectors
 
 
-@contextmanager
 def _progress_bar(progress):
-    """What is called with each step's chi-squared."""
     from tqdm import tqdm
 
-    hidden = None if progress is None else not progress  # None: hidden where no terminal is
-    delay = _PATIENCE if progress is None else 0.0
-    with tqdm(desc="fit_tpf", unit=" steps", disable=hidden, delay=delay) as bar:
+    # None hides the bar where no terminal is.
+    shown = {"disable": None, "delay": _PATIENCE} if progress is None else {"disable": not progress}
+    return tqdm(desc="fit_tpf", unit=" steps", **shown)
 
-        def report(cost):
-            bar.set_postfix_str(f"cost {cost:.6g}", refresh=False)
-            bar.update()
 
-        yield report
+def _report(bar, cost):
+    bar.set_postfix_str(f"cost {cost:.6g}", refresh=False)
+    bar.update()

@@ -15,9 +15,10 @@ from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting import _parameters, _products
-from scope_models.fitting._doubts import doubts_of, followed
+from scope_models.fitting import _products
 from scope_models.fitting._problem import median_image
+from scope_models.fitting._solver import deviation, star_columns
+from scope_models.fitting._start import APART, find_stars
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 
@@ -29,60 +30,64 @@ _FACTS = (
     *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
     *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
 )
+# Error of a sensitivity at a pixel's edge from which it is not measured: the paper's is lower by
+# this there than in the center.
+_LARGEST_EDGE_ERROR = 0.0125
+# Scatter, in standard deviations of its prior or its error, that has another cause.
+LARGEST_SCATTER = 3.0
+# Fitted motion over that of POS_CORR that is not in doubt; least motion, pixels.
+_SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
+# Flux, in parts of the light in the pixels, that a model has invented.
+LARGEST_FLUX = 2.0
+# Errors beyond which a flux is negative, or light.
+CERTAIN = 5.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TPFFit(Value):
     """A model of all pixels and cadences of a target pixel file.
 
-    `fit_tpf` makes it, `read` reads one that `write` has written. Arrays by cadence have the
-    shape ``(n,)``, images ``(ny, nx)`` and cubes ``(n, ny, nx)``.
-
-    The columns of ``cadences`` and the entries of ``statistics`` are attributes too: ``fit.flux``
-    is a read-only array, None if there is no such column, and ``fit.chi2`` a number.
+    `fit_tpf` makes it. The columns of ``cadences`` and the entries of ``statistics`` are attributes
+    too: ``fit.flux`` is a read-only array, None if there is no such column, ``fit.chi2`` a number.
 
     Parameters
     ----------
     model : PRF
         The fitted model at the median position and flux.
     parameters : astropy.table.Table
-        Parameters that all cadences share, the free ones first: name, value, error, unit, whether
-        they are fixed, kind as in `~scope_models.PRF.parameter_kinds`, and whether they ended at a
-        bound. There, and for coefficients of a sensitivity where the PSF is wrong, the error is
-        NaN.
+        Parameters that all cadences share, the free ones first: name, value, error, unit, fixed,
+        kind as in `~scope_models.PRF.parameter_kinds`, and at_bound. The error is NaN at a bound,
+        and for a sensitivity where the PSF is wrong.
     covariance : ndarray of shape (s, s)
-        Covariance of the free ones, with the uncertainty of all other parameters.
+        Covariance of the free ones, marginalized over all others.
     cadences : astropy.table.Table
         A row per cadence: time in days, cadenceno and quality; x and y in pixels, flux and
         background in e-/s, with x_err, y_err, flux_err and background_err, which hold the
-        uncertainty of the shared parameters; flux_scatter, the error of the flux less the mean
-        flux, that of a light curve; focus, the relative width of the PSF, 1 where it was not
-        fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel the
-        errors of x, y and background are those between cadences: what all of these share, as the
-        place of the first one, is left open, since the responses take it up. Then also held_out,
-        cadences from which it has not learned, and outliers, which it does not describe: they are
-        not part of it, nor of chi-squared.
+        uncertainty of the shared parameters; flux_scatter, the error of a light curve, of the flux
+        less its mean; focus, the relative width of the PSF; pos_corr, of shape (n, 2), if the file
+        has it. With a response of each pixel the errors of x, y and background are those between
+        cadences, for it takes up what all share; held_out are cadences from which it has not
+        learned, and outliers those that it does not describe, which chi-squared leaves out.
     neighbors : tuple of FittedStar
         The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
-        Response of each pixel against the others; 1 and NaN where there are no data.
+        Response of each pixel and its error; 1 and NaN without data.
     observed, observed_err, fitted : ndarray of shape (n, ny, nx)
-        The data, their errors and the model, e-/s; NaN where not used.
+        Data, errors and model, e-/s; NaN where not used.
     statistics : mapping
-        ``chi2``, of the pixels without priors; n_data, their number, and n_parameters;
-        error_scale, by which the errors of the pixels were scaled up, because the model is not
-        true; whether the iterations have converged, and n_steps; chi2_held_out, chi-squared per
-        degree of freedom of the held-out cadences, NaN without a response.
+        ``chi2``, of the pixels without priors; n_data, their number, and n_parameters; error_scale,
+        by which errors were scaled up where the model is not true; converged and n_steps;
+        chi2_held_out, per degree of freedom of the held-out cadences, NaN without a response.
     time_format : str
         "bkjd" or "btjd".
     detector : Detector
-        The pixels, with the fitted response.
+        The detector, with the fitted response.
     options : mapping
         Options of the fit.
     meta : mapping
-        The file's description of the star.
+        Cards of the file that describe star and stamp.
     response : tuple of PixelShares, optional
-        Changes of each pixel's share in the light of each star, if they were fitted.
+        Changes of each pixel's share of each star's light, if they were fitted.
 
     Examples
     --------
@@ -120,15 +125,15 @@ class TPFFit(Value):
                 value.flags.writeable = False
 
     def __getattr__(self, name):
-        if name in _parameters.CADENCE_UNITS:
+        if name in _products.CADENCE_UNITS:
             table = self.cadences
             return np.asarray(table[name]) if name in table.colnames else None
-        if name in _parameters.STATISTICS:
+        if name in _products.STATISTICS:
             return self.statistics[name]
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __dir__(self):
-        return [*super().__dir__(), *_parameters.CADENCE_UNITS, *_parameters.STATISTICS]
+        return [*super().__dir__(), *_products.CADENCE_UNITS, *_products.STATISTICS]
 
     def __repr__(self):
         n, ny, nx = self.observed.shape
@@ -184,7 +189,7 @@ class TPFFit(Value):
     @property
     def dof(self):
         """Degrees of freedom: pixel values less parameters."""
-        return _parameters.degrees_of_freedom(self.statistics)
+        return _products.degrees_of_freedom(self.statistics)
 
     @cached_property
     def residual(self):
@@ -202,7 +207,6 @@ class TPFFit(Value):
         return self._mean_squares((1, 2))
 
     def _mean_squares(self, axis):
-        """Mean square of the scaled residuals, with the parameters spread over all data."""
         squares = (self.residual / self.observed_err) ** 2
         if self.outliers is not None:
             squares[self.outliers] = np.nan
@@ -246,13 +250,12 @@ class TPFFit(Value):
         Returns
         -------
         tuple of float
-            Part of the variance of x and of y that the map explains; NaN without POS_CORR.
+            Explained parts of the variances of x and y; NaN without POS_CORR.
         """
         if self.pos_corr is None:
             return np.nan, np.nan
-        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
         xy = np.column_stack([self.x, self.y])
-        left = (xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]).var(axis=0)
+        left = (xy - _products.mapped(self.pos_corr, xy)).var(axis=0)
         variance = np.where(xy.var(axis=0) > 0, xy.var(axis=0), np.nan)
         return tuple((1 - left / variance).tolist())
 
@@ -262,9 +265,8 @@ class TPFFit(Value):
         Returns
         -------
         tuple of float
-            Slope of x on POS_CORR1 alone, and of y on POS_CORR2 alone: where a star moves along a
-            line, as with the roll of K2, those of a fit of both have no meaning. NaN without
-            POS_CORR or motion.
+            Slopes of x on POS_CORR1 alone and y on POS_CORR2 alone: a fit of both has no meaning
+            where a star moves along a line, as with K2's roll. NaN without POS_CORR or motion.
         """
         if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
             return np.nan, np.nan
@@ -278,12 +280,11 @@ class TPFFit(Value):
         Returns
         -------
         `~astropy.table.Table`
-            Name, value, error and unit of the full widths at half maximum: "fwhm", of a circle of
-            the same area, "fwhm_major" and "fwhm_minor", in pixels; of the "ellipticity", 1 less
-            the ratio of the widths; and of the "angle" of the major axis from the columns to the
-            rows, in degrees. Those of the area above half of the largest density; with a response
-            of each pixel of the Gaussian that fits the typical shares, whose errors hold the
-            scatter of the pixels.
+            Name, value, error and unit of the full widths at half maximum "fwhm", of a circle of
+            the same area, "fwhm_major" and "fwhm_minor", pixels; of the "ellipticity", 1 less the
+            ratio of the widths; and of the "angle" from the columns to the major axis, degrees.
+            They are those of the area above half of the largest density; with a response of each
+            pixel, of a Gaussian fitted to the typical shares, with errors from their scatter.
         """
         return _products.psf_shape(self)
 
@@ -300,7 +301,7 @@ class TPFFit(Value):
         Returns
         -------
         offset : ndarray of shape (samples,)
-            Offsets of the points along columns and rows, pixels.
+            Offsets along columns and rows, pixels.
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
 
@@ -313,8 +314,8 @@ class TPFFit(Value):
         offset = np.linspace(-half, half, checked_integer("samples", samples, 1))
         grid = np.meshgrid(offset, offset)
         density, slopes = _products.with_slopes(self, lambda psf: np.asarray(psf(*grid)))
-        variance = np.einsum("iyx,ij,jyx->yx", slopes, self.covariance, slopes, optimize=True)
-        return offset, density / density.max(), np.sqrt(np.maximum(variance, 0.0)) / density.max()
+        error = _products.propagated(slopes, self.covariance)
+        return offset, density / density.max(), error / density.max()
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
@@ -323,13 +324,13 @@ class TPFFit(Value):
         -------
         lightkurve.LightCurve
             With the columns centroid_col, centroid_row, background, quality and cadenceno. The
-            errors are those between cadences: the shared parameters scale all fluxes alike. With
-            responses of pixels they hold the rms of the flux that follows the position, too.
+            errors are ``flux_scatter``; with a response of each pixel also the rms of the flux that
+            follows the position.
         """
         from lightkurve import LightCurve
 
         unit = u.electron / u.s
-        error = np.hypot(self.flux_scatter, followed(self) if self.response else 0.0)
+        error = np.hypot(self.flux_scatter, _products.followed(self) if self.response else 0.0)
         time = Time(self.time, format=self.time_format, scale="tdb")
         curve = LightCurve(time=time, flux=self.flux * unit, flux_err=error * unit)
         curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
@@ -344,9 +345,7 @@ class TPFFit(Value):
         Parameters
         ----------
         positions : {"fitted", "path"} or Motion, optional
-            The fitted positions, with their noise, or those of the affine map of POS_CORR or of a
-            motion. With that of `~scope_models.Motion.from_tpfs` the twins of several stars are
-            the twin of their CCD.
+            Fitted positions, with their noise, or an affine map of POS_CORR or of a motion.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
             their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes
@@ -355,16 +354,10 @@ class TPFFit(Value):
         Returns
         -------
         Scene
-            The stars, the pixels, the positions about their median and the focus, if it was
-            fitted. The pixels have the fitted sensitivity and response, and the read noise with
-            which faint pixels scatter as those of the file do from one cadence to the next. The
-            target's name and number, its place on the sky and that of the stamp on the detector
-            are those of the file.
-
-        Notes
-        -----
-        The fitted background is not in the scene: it is what the file left in the pixels. With a
-        response of each pixel, it is, and so are the shares of the pixels.
+            Stars, positions about their median, focus, sensitivity and response as fitted, the
+            read noise with which faint pixels scatter from cadence to cadence, and names and
+            places of the file; with a response of each pixel also its shares, and the fitted
+            background.
         """
         return _products.make_scene(self, positions, signal)
 
@@ -374,7 +367,7 @@ class TPFFit(Value):
         Returns
         -------
         str
-            Model, residuals, motion, parameters with errors, and doubts.
+            Model, residuals, motion, parameters and doubts.
         """
         n, ny, nx = self.observed.shape
         state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
@@ -419,12 +412,12 @@ class TPFFit(Value):
         Returns
         -------
         dict of str to matplotlib.axes.Axes
-            The Axes by what they show.
+            The Axes by names.
         """
         from scope_models.plotting import plot_fit
 
         offset, density, _ = self.psf_image()
-        border = (offset[-1] - offset[0] + offset[1] - offset[0]) / 2
+        border = offset[-1] + (offset[1] - offset[0]) / 2
         width, error = self.psf_shape()["value", "error"][0]
         seen = np.isfinite(self.observed).any(axis=0)
         cubes = self.observed, self.fitted, self.residual
@@ -470,10 +463,9 @@ class TPFFit(Value):
 
 def make_results(solution, errors, detectors, series):
     problem, state, results = solution.problem, solution.state, []
-    s = problem.n_shared
-    fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
-    ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
-    at_bounds = [parameter.name for parameter, end in ended if end]
+    s, fitted = problem.n_shared, problem.model(state)
+    covariance, ended = errors.shared[:s, :s], problem.at_bounds(state)
+    at_bounds = [p.name for p, end in zip(problem.parameters, ended, strict=True) if end]
     for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
         given = problem, state, errors, number, fitted, problem.weight
         fields, columns, squares = fitted_fields(*given)
@@ -482,72 +474,177 @@ def make_results(solution, errors, detectors, series):
             interpixel[data.pixels] = 1 + state.interpixel[pixels]
             variance = np.diag(errors.shared)[s:][pixels]
             interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
-        model, n_data = fields["model"], int(np.isfinite(fields["observed"]).sum())
+        n_data = int(np.isfinite(squares).sum())
         statistics = {
             "chi2": float(np.nansum(squares)), "n_data": n_data,
             "n_parameters": round(problem.n_free * n_data / problem.n_data),
             "error_scale": problem.misfit, "converged": solution.converged and not at_bounds,
             "n_steps": solution.n_steps, "chi2_held_out": np.nan,
         }  # fmt: skip
-        table = _parameters.parameter_table(
-            model, problem.parameters, state.shared, covariance, at_bounds, statistics,
-            response=False,
-        )  # fmt: skip
-        cards = series[number].header
-        changes = {"sensitivity": model.sensitivity, "interpixel": np.maximum(interpixel, 0.0)}
+        model, cards = fields["model"], series[number].header
+        detector = detectors[number].replace(
+            sensitivity=model.sensitivity, interpixel=np.maximum(interpixel, 0.0)
+        )
+        kinds, values = {p.name: p.kind for p in problem.parameters}, state.shared
         results.append(TPFFit(
             **fields, covariance=covariance, interpixel=interpixel, interpixel_err=interpixel_err,
-            parameters=table, cadences=_parameters.cadence_table(columns), statistics=statistics,
+            parameters=_products.parameter_table(
+                model, kinds, values, covariance, at_bounds, statistics
+            ),
+            cadences=_products.cadence_table(columns), statistics=statistics, detector=detector,
             time_format=data.time_format, options=asdict(problem.options),
-            detector=detectors[number].replace(**changes),
             meta=plain_tree({k: cards[k] for k in _FACTS if cards.get(k) is not None}, str),
         ))  # fmt: skip
     return results
 
 
 def fitted_fields(problem, state, errors, number, fitted, weight):
-    """Fields, columns and squares of the fit of a file, from model and weights of all pixels."""
+    """Fields, columns and squared residuals of a file, from model and weights of all pixels."""
     data, pixels = problem.stamps[number], problem.slices[number]
     observed, modeled = np.full((2, *data.flux.shape), np.nan)
     for cube, values in ((observed, problem.flux), (modeled, fitted)):
         cube[:, data.pixels] = np.where(weight[:, pixels] > 0, values[:, pixels], np.nan)
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
-    own, *others = (_of_star(problem, state, errors, k) for k in stars)
+    own, *others = (star_columns(problem, state, errors, k) for k in stars)
     model = problem.prf.copy()
     middle = {n: float(np.median(own[n.removesuffix("_0")])) for n in ("x_0", "y_0", "flux")}
     for name, value in (problem.values(state) | middle).items():
         setattr(model, name, value)
-    column, background = problem.index.fluxes[stars[0]], problem.index.backgrounds
+    column, background = problem.flux_number(stars[0]), problem.background_number(number)
     columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
     columns |= own | {
         "flux_scatter": np.sqrt(np.maximum(errors.relative[:, column, column], 0.0)),
         "background": problem.backgrounds(state, number),
-        "background_err": _deviation(errors, background[number]) if background else 0 * data.time,
+        "background_err": 0 * data.time if background is None else deviation(errors, background),
         "focus": 1 + problem.focus(state),
     }
     fields = {"observed": observed, "observed_err": data.flux_err, "fitted": modeled}
-    fields["neighbors"] = tuple(_parameters.FittedStar(**values) for values in others)
+    fields["neighbors"] = tuple(_products.FittedStar(**values) for values in others)
     return fields | {"model": model}, columns, ((observed - modeled) / data.flux_err) ** 2
 
 
-def _of_star(problem, state, errors, star):
-    """Position and flux of a star, and their errors, by name."""
-    n, k, m = errors.mixed.shape
-    by = np.zeros((2, n, k + m))
-    for axis, column, derivative in problem.position_terms(state, star):
-        by[axis, :, column] = derivative
-    own, common = by[..., :k], by[..., k:]
-    variances = np.einsum("ani,nij,anj->an", own, errors.cadence, own)
-    variances += 2 * np.einsum("ani,nij,anj->an", own, errors.mixed, common)
-    variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
-    (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
-    x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
-    flux_err = np.hypot(_deviation(errors, problem.index.fluxes[star]), flux * errors.common[star])
-    return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
+def doubts_of(fit):
+    """Return a message for each doubt about a fit."""
+    return [
+        *_parameter_doubts(fit),
+        *_pixel_doubts(fit),
+        *_position_doubts(fit),
+        *_flux_doubts(fit),
+    ]
 
 
-def _deviation(errors, column):
-    k = errors.cadence.shape[1]
-    if column < k:
-        return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))
-    return np.full(len(errors.cadence), max(errors.shared[column - k, column - k], 0.0) ** 0.5)
+def is_measured(power, error):
+    """Whether the error of a coefficient, of an axis and power, is small enough."""
+    return error * 0.5 ** power[1] < _LARGEST_EDGE_ERROR
+
+
+def _parameter_doubts(fit):
+    if not fit.converged and not fit.at_bounds:
+        yield (
+            f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
+            f"{fit.reduced_chi2:.4g} per degree of freedom; the best parameters are kept"
+        )
+    powers = fit.model.response_powers
+    others = [f"{name} = {fit.values[name]:.3g}" for name in fit.at_bounds if name not in powers]
+    if others:
+        ended = f"the fit ends at bounds, {', '.join(others)}"
+        yield f"{ended}: the model does not describe the pixels; try another `psf`"
+    for name in filter(powers.get, fit.names):
+        axis, value, error = powers[name][0], fit.values[name], fit.errors[name]
+        if name in fit.at_bounds:
+            yield (
+                f"the sensitivity is at its bound, {name} = {value:.3g}: it describes "
+                "errors of the PSF, and is not measured"
+            )
+        elif np.isnan(error):
+            yield (
+                f"the sensitivity is not measured: the PSF is wrong by {fit.error_scale:.2g} times "
+                f"the noise (chi-squared {fit.reduced_chi2:.3g}), and {name} = {value:.3g} "
+                "describes that"
+            )
+        elif not is_measured(powers[name], error):
+            yield (
+                f"the motion ({np.std(getattr(fit, axis)):.2g} px rms along {axis}) does not "
+                f"constrain the sensitivity: {name} = {value:.3g} +- {error:.2g}"
+            )
+
+
+def _pixel_doubts(fit):
+    prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
+    if prior and scatter > LARGEST_SCATTER * prior:
+        yield (
+            f"the response between pixels scatters by {100 * scatter:.2g} %, but its prior is "
+            f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
+        )
+    light, invented = np.median(_products.light_of(fit, fit.observed)), np.median(fit.flux)
+    if invented > LARGEST_FLUX * light > 0:
+        yield (
+            f"the flux is {invented:.4g} e-/s, but the pixels hold {light:.4g}: the PSF has most "
+            "of its light outside of them, or two of its terms cancel"
+        )
+    if fit.error_scale > 1:
+        row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
+        yield (
+            f"the model does not describe the pixels: chi-squared per degree of freedom is "
+            f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}; all errors are "
+            f"{fit.error_scale:.3g} times those of the noise"
+            + ("" if fit.response else '; response="pixels" fits the share of each pixel')
+        )
+    if fit.error_scale > 1 or fit.response:  # which takes up the light of any star
+        stars = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
+        away = np.linalg.norm(find_stars(fit.observed)[:, None] - stars, axis=2).min(axis=1)
+        if others := np.sum(away > APART):
+            yield (
+                f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
+                'other stars: neighbors="find" fits them'
+            )
+
+
+def _position_doubts(fit):
+    remedy = "" if fit.options["positions"] == "path" else 'positions="path" or '
+    for axis, slope, size in zip("xy", fit.path_scale(), fit.shape[::-1], strict=True):
+        position, error = getattr(fit, axis), np.median(getattr(fit, f"{axis}_err"))
+        if not _SCALES[0] < slope < _SCALES[1] and np.isfinite(slope):
+            path = fit.pos_corr[:, "xy".index(axis)].std()
+            differs = abs(slope - 1) * path > 3 * error / len(fit.x) ** 0.5
+            if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
+                yield (
+                    f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
+                    f"PSF may have absorbed it; {remedy}a richer PSF prevents it"
+                )
+        if not 0 <= np.median(position) <= size - 1:
+            yield f"the star is at the edge of the pixels: {axis} = {np.median(position):.2f}"
+        if lost := np.sum((position <= -1) | (position >= size)):
+            yield f"in {lost} cadences the fitted {axis} ends at its bounds, off the pixels"
+
+
+def _flux_doubts(fit):
+    # A PSF that leaves the whole flux open, as on a small stamp, hides no star.
+    light, error = np.mean(fit.flux), np.sqrt(np.mean(fit.flux_scatter**2) / len(fit.flux))
+    if abs(light) < LARGEST_SCATTER * error:
+        yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
+    for number, star in enumerate((fit, *fit.neighbors)):
+        if negative := np.sum(star.flux < -CERTAIN * star.flux_err):
+            name = f"neighbor {number}" if number else "the star"
+            yield f"the flux of {name} is negative in {negative} cadences"
+    if fit.response and fit.neighbors:
+        yield (
+            'response="pixels" divides the light of several stars between them by the PSF: the '
+            "fluxes of the fainter ones have larger errors than those given"
+        )
+    seen = np.isfinite(fit.observed)
+    whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
+    fluxes = np.column_stack([fit.flux, _products.light_of(fit, fit.observed)])
+    steps = np.diff(fluxes[whole & _products.described(fit)], axis=0)
+    ours, pixels = np.sqrt(np.sum(steps**2, axis=0) / max(len(steps), 1))
+    error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
+    if ours > LARGEST_FLUX * np.hypot(pixels, error):
+        yield (
+            f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
+            f"the pixels by {pixels:.3g}: the data allow several solutions"
+        )
+    if (explained := _products.followed(fit)) > LARGEST_SCATTER * error:
+        yield (
+            f"the flux varies with the position of the star by {explained:.3g} e-/s rms, but its "
+            f"error is {error:.3g}: the model does not separate the two"
+        )

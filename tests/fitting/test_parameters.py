@@ -6,7 +6,7 @@ from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial
-from scope_models.fitting._parameters import fit_parameters
+from scope_models.fitting._problem import fit_parameters
 from scope_models.models import GaussHermitePSF
 
 
