@@ -9,7 +9,6 @@ and that of the hard places, which ``docs/figures/fifty_digits.py`` draws. Both 
 """
 
 import argparse
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,17 +22,12 @@ from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
 from scope_models.models import _axis, _gaussian
 
 mp.mp.dps, STEP = 50, mp.mpf("1e-16")
+RULE = GaussLegendre(mp.mp)
 X_ROW, Y_ROW = (1.0, 0.1, -0.05, 0.2), (1.0, -0.2, -0.75)
 NAMES = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
 PLACES = ((3.0, 3.0), (3.5, 3.125), (3.5, 3.5), (3.4990234375, 2.5))
 # Half the width of a panel in standard deviations, and where densities end.
 HALF, REACH = 0.75, 15
-
-
-@cache
-def legendre():
-    """Return the 24 nodes and weights of the Gauss-Legendre rule on (-1, 1)."""
-    return GaussLegendre(mp.mp).get_nodes(-1, 1, degree=4, prec=mp.mp.prec)
 
 
 def along_y(mean, sigma, row):
@@ -64,13 +58,10 @@ def exact(column, line, x_0, y_0, sigma_x, sigma_y, rho, x_row=X_ROW, y_row=Y_RO
             cuts += [x + (edge - y) / slope + k * step for k in range(-REACH, REACH)]
     cuts = [low, *sorted(cut for cut in cuts if low < cut < high), high]
     total = mp.mpf(0)
-    for left, right in pairwise(cuts):
-        half, middle = (right - left) / 2, (right + left) / 2
-        for node, weight in legendre() if right > left else ():
-            u = middle + half * node
-            powers = [u**n for n in range(len(x_row))]
+    for ends in (pair for pair in pairwise(cuts) if pair[0] < pair[1]):
+        for u, weight in RULE.get_nodes(*ends, degree=4, prec=mp.mp.prec):  # 24 nodes
             part = along_y(y + slope * (u - x), width, y_row) * mp.npdf((u - x) / sigma_x)
-            total += weight * half * mp.fdot(x_row, powers) * part / sigma_x
+            total += weight * mp.fdot(x_row, [u**n for n in range(len(x_row))]) * part / sigma_x
     return total
 
 
@@ -99,25 +90,27 @@ def write_truth(path):
     Table(rows=rows, names=names).write(path, overwrite=True)
 
 
+def largest_error(engine, values, truth):
+    """Return the largest error of an engine of the package; `truth` is by (column, row)."""
+    pixels, image = np.arange(7.0), np.zeros((1, 1, 7, 7))
+    rows = np.array(X_ROW), np.array(Y_ROW)
+    engine(pixels, pixels, [np.array([value]) for value in values], rows, image)
+    return max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
+
+
 def gaussian_errors():
     """Yield errors of the series and of the line rule, as their orders grow."""
-    pixels, place = np.arange(7.0), (3.3, 3.4)
-    rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
     kept = _gaussian.n_terms, _gaussian.gaussian_nodes
     cases = [("terms", 0.5, rho) for rho in (0.2, 0.5, 0.8)]
     cases += [("nodes", sigma, 0.9) for sigma in (0.3, 0.7, 1.5)]
     for kind, sigma, rho in cases:
-        values = [np.array([v]) for v in (*place, sigma, sigma, rho)]
-        arguments = [mp.mpf(float(v[0])) for v in values]
-        truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4))}
-        scale = sigma * np.sqrt(1 - rho**2)
-        chosen = kept[0](rho) if kind == "terms" else kept[1](scale, 3)
+        values = 3.3, 3.4, sigma, sigma, rho
+        truth = {p: exact(*p, *map(mp.mpf, values)) for p in ((3, 3), (4, 4), (3, 4))}
+        chosen = kept[0](rho) if kind == "terms" else kept[1](sigma * np.sqrt(1 - rho**2), 3)
+        engine = _gaussian._series_images if kind == "terms" else _gaussian._line_images  # noqa: SLF001
         for order in sorted({*range(2, 2 * chosen, max(1, chosen // 12)), chosen}):
             _gaussian.n_terms = _gaussian.gaussian_nodes = lambda *_, order=order: order
-            image = np.zeros((1, 1, 7, 7))
-            engine = _gaussian._series_images if kind == "terms" else _gaussian._line_images  # noqa: SLF001
-            engine(pixels, pixels, values, rows, image)
-            error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
+            error = largest_error(engine, values, truth)
             yield kind, (rho if kind == "terms" else sigma), order, error, chosen
         _gaussian.n_terms, _gaussian.gaussian_nodes = kept
     for sigma in (0.15, 0.5, 1.5):
@@ -126,21 +119,17 @@ def gaussian_errors():
 
 def panel_errors():
     """Yield errors of the line rule at the corner of a pixel, as its panels get more."""
-    pixels, kept, nodes_of = np.arange(7.0), _gaussian._PANEL, _gaussian.gaussian_nodes  # noqa: SLF001
-    rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
+    kept, nodes_of = _gaussian._PANEL, _gaussian.gaussian_nodes  # noqa: SLF001
     for sigma, rho in ((0.1, 0.9), (0.02, 0.5), (0.3, 0.9999)):
-        values = [np.array([v]) for v in (3.5, 3.5, sigma, sigma, rho)]
-        arguments = [mp.mpf(float(v[0])) for v in values]
-        truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4), (5, 5))}
+        values = 3.5, 3.5, sigma, sigma, rho
+        truth = {p: exact(*p, *map(mp.mpf, values)) for p in ((3, 3), (4, 4), (3, 4), (5, 5))}
         scale = sigma * np.sqrt(1 - rho**2)
         chosen = int(np.ceil(kept / scale))
         nodes = nodes_of(scale * chosen, 3)
         _gaussian.gaussian_nodes = lambda *_, nodes=nodes: nodes
         for number in sorted({*range(1, 2 * chosen, max(1, chosen // 12)), chosen}):
             _gaussian._PANEL = (number - 0.5) * scale  # noqa: SLF001
-            image = np.zeros((1, 1, 7, 7))
-            _gaussian._line_images(pixels, pixels, values, rows, image)  # noqa: SLF001
-            error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
+            error = largest_error(_gaussian._line_images, values, truth)  # noqa: SLF001
             yield "panels", float(f"{scale:.2g}"), number, error, chosen
         _gaussian._PANEL, _gaussian.gaussian_nodes = kept, nodes_of  # noqa: SLF001
 
