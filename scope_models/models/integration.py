@@ -13,7 +13,7 @@ from numpy.polynomial import Polynomial
 from scope_models._arrays import plain_array, without_unit
 from scope_models._checks import checked_choice, checked_shape
 from scope_models.exceptions import IntegrationWarning
-from scope_models.models._axis import gauss_legendre
+from scope_models.models._gaussian import gauss_legendre
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
 from scope_models.models.sensitivity import collected
 

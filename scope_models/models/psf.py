@@ -9,8 +9,13 @@ from astropy.modeling import Parameter
 from scipy.special import roots_genlaguerre
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.models import _gaussian
-from scope_models.models._axis import axis_table, hermite_functions
+from scope_models.models._gaussian import (
+    flattened,
+    gaussian_pixels,
+    hermite_functions,
+    separable_images,
+    slope_pairs,
+)
 from scope_models.models._parameters import Domain, StarModel, gaussian_box, make_coefficients
 from scope_models.models._terms import ClosedForm, one_number, pixels_of
 
@@ -20,8 +25,6 @@ _LEAST_WIDTH = float(np.finfo(np.float32).tiny)
 _RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
 # Components of a Moffat PSF with less of its flux are left out.
 _LEAST_FRACTION = 1e-5
-# Positions whose tables fit into the processor's cache together.
-_BATCH = 512
 
 
 def _width(axis):
@@ -127,7 +130,7 @@ class BivariateGaussianPSF(StarModel):
         """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
-        return ClosedForm(values["flux"], parameters, _gaussian.gaussian_pixels, (*names, "rho"))
+        return ClosedForm(values["flux"], parameters, gaussian_pixels, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
@@ -278,37 +281,36 @@ class GaussHermitePSF(StarModel):
         z = np.broadcast_arrays((x - x_0) / sigma_x, (y - y_0) / sigma_y)
         tables = (hermite_functions(u.ravel(), self.order + 3) for u in z)
         x_table, y_table = (t / sigma for t, sigma in zip(tables, (sigma_x, sigma_y), strict=True))
-        pairs = self._pairs(self._matrix(coefficients), x_table, y_table, sigma_x, sigma_y)
+        weigh = partial(np.matmul, self._matrix(coefficients).T)
+        pairs = slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh)
+        pairs += self._terms(None, x_table, y_table)
         unit, *parts = (np.sum(a * b, axis=0).reshape(z[0].shape) for a, b in pairs)
         return [unit, *(flux * part for part in parts)]
 
-    def _pairs(self, matrix, x_table, y_table, *widths):
-        """Tables whose products are the image of unit flux, and its derivatives."""
-        base_x, base_y = x_table[..., :-2, :], y_table[..., :-2, :]
-        pairs = _gaussian.slope_pairs(x_table, y_table, *widths, partial(np.matmul, matrix.T))
-        return [*pairs, *((base_y[..., [m], :], base_x[..., [k], :]) for k, m in self._places)]
+    def _terms(self, _part, x_table, y_table):
+        """Tables whose products are the derivatives by the coefficients."""
+        return [(y_table[..., [m], :], x_table[..., [k], :]) for k, m in self._places]
 
     def _integrals(
         self, matrix, x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y, *, derivatives=False
     ):
         """Integrate the density of unit flux, and its derivatives, over pixels."""
-        shape, (x_0, y_0, *widths) = _gaussian.flattened((x_0, y_0, sigma_x, sigma_y))
-        n_images = len(self.param_names) if derivatives else 1
-        images = np.empty((n_images, x_0.size, y.size, x.size))
-        n = self.order + (3 if derivatives else 1)
-        x_axis = axis_table(x, x_0, widths[0], np.atleast_1d(along_x), n)
-        y_axis = axis_table(y, y_0, widths[1], np.atleast_1d(along_y), n)
-        for start in range(0, x_0.size, _BATCH):
-            part = slice(start, start + _BATCH)
-            x_table, y_table = x_axis(part), y_axis(part)
-            if derivatives:
-                wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
-                pairs = self._pairs(matrix, x_table, y_table, *wide)
-            else:
-                pairs = [(matrix.T @ y_table, x_table)]
-            for pair, image in zip(pairs, images, strict=True):
-                _gaussian.contract(*pair, image[part])
-        images = images.reshape((n_images, *shape, y.size, x.size))
+        shape, flat = flattened((x_0, y_0, sigma_x, sigma_y))
+        images = np.empty(
+            (len(self.param_names) if derivatives else 1, flat[0].size, y.size, x.size)
+        )
+        polynomials = np.atleast_1d(along_x), np.atleast_1d(along_y)
+        separable_images(
+            x,
+            y,
+            flat,
+            polynomials,
+            self.order + 1,
+            lambda _part, table: matrix.T @ table,
+            self._terms,
+            images,
+        )
+        images = images.reshape((len(images), *shape, y.size, x.size))
         return images if derivatives else images[0]
 
     def closed_form(self, values):

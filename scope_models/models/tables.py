@@ -11,8 +11,7 @@ from scipy.interpolate import BSpline, RectBivariateSpline
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
-from scope_models.models._axis import gauss_legendre
-from scope_models.models._gaussian import flattened
+from scope_models.models._gaussian import flattened, gauss_legendre
 from scope_models.models._parameters import StarModel, make_coefficients, numbers_of, value_of
 from scope_models.models._terms import ClosedForm, pixels_of
 
