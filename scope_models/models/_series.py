@@ -9,8 +9,16 @@ import numpy as np
 from scope_models._arrays import without_unit
 from scope_models.models import _gaussian
 from scope_models.models._gaussian import FEW, ROWS, AxisPanels
-from scope_models.models._terms import Factor, Term, closed_form, expand, is_pixel_integrated
-from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
+from scope_models.models.integration import (
+    Factor,
+    PixelPoints,
+    Term,
+    closed_form,
+    expand,
+    integrate_density,
+    integrate_term,
+    is_pixel_integrated,
+)
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 

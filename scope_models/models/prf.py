@@ -11,9 +11,17 @@ from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
 from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated, one_number
 from scope_models.models.grids import PRFGrid
-from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
+from scope_models.models.integration import (
+    Factor,
+    PixelPoints,
+    Term,
+    expand,
+    integrate_density,
+    integrate_term,
+    is_pixel_integrated,
+    one_number,
+)
 from scope_models.models.tables import TabulatedPRF
 
 __all__ = ["PRF"]

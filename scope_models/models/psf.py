@@ -17,7 +17,7 @@ from scope_models.models._gaussian import (
     slope_pairs,
 )
 from scope_models.models._parameters import Domain, StarModel, gaussian_box, make_coefficients
-from scope_models.models._terms import ClosedForm, one_number, pixels_of
+from scope_models.models.integration import ClosedForm, one_number, pixels_of
 
 __all__ = ["BivariateGaussianPSF", "GaussHermitePSF", "moffat_psf"]
 

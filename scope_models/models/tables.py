@@ -13,7 +13,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models.models._gaussian import flattened, gauss_legendre
 from scope_models.models._parameters import StarModel, make_coefficients, numbers_of, value_of
-from scope_models.models._terms import ClosedForm, pixels_of
+from scope_models.models.integration import ClosedForm, pixels_of
 
 __all__ = ["CorrectedPRF", "TabulatedPRF", "TabulatedPSF"]
 
