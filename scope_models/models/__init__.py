@@ -1,6 +1,5 @@
 """Models of light, of the response of pixels, of their integrals, and of stars' variability."""
 
-from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
 from scope_models.models.psf import BivariateGaussianPSF, GaussHermitePSF, moffat_psf
@@ -11,7 +10,7 @@ from scope_models.models.signals import (
     stochastic_signal,
     tabulated_signal,
 )
-from scope_models.models.tables import CorrectedPRF, TabulatedPRF, TabulatedPSF
+from scope_models.models.tables import CorrectedPRF, PRFGrid, TabulatedPRF, TabulatedPSF
 
 __all__ = [
     "PRF", "BivariateGaussianPSF", "CorrectedPRF", "DiffusionSensitivity", "GaussHermitePSF",

@@ -11,7 +11,6 @@ from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
 from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
-from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import (
     Factor,
     PixelPoints,
@@ -22,7 +21,7 @@ from scope_models.models.integration import (
     is_pixel_integrated,
     one_number,
 )
-from scope_models.models.tables import TabulatedPRF
+from scope_models.models.tables import PRFGrid, TabulatedPRF
 
 __all__ = ["PRF"]
 
