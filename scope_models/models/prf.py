@@ -82,20 +82,17 @@ class _Component:
 
     def derivatives(self, points, values):
         """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
-        term = self.term(values)
-        form = term.closed_form()
+        term, own_values = self.term(values), self.own_values(values)
+        form, names = term.closed_form(), [n for n in self.model.param_names if n != "flux"]
         if form is not None and form.names:
             names = form.names  # ending in the variance of the diffusion, if there is any
             image, *parts = points.apply(form, term.polynomials(), derivatives=True)
         elif hasattr(self.model, "unit_derivatives"):
-            names = self.model.param_names[1:]
-            at = self.own_values(values)
-            x, y = (at[name][..., np.newaxis] for name in ("x_0", "y_0"))
-            shape = [float(at[name]) for name in self.model.param_names[3:]]
-            parts = self.model.unit_derivatives(points.x - x, points.y - y, *shape)
+            x_0, y_0, *others = (own_values[name] for name in names)
+            offsets = points.x - x_0[..., np.newaxis], points.y - y_0[..., np.newaxis]
+            parts = self.model.unit_derivatives(*offsets, *map(float, others))
             image, *parts = (part.reshape((*part.shape[:-1], *points.shape)) for part in parts)
         else:
-            names = tuple(name for name in self.model.param_names if name != "flux")
             image = integrate_term(term, points)
             parts = [self._by_quadrature(term, points, values, name) for name in names]
         own = dict(zip((self.shape.get(n, n) for n in names), parts, strict=True))
@@ -129,10 +126,9 @@ class _Component:
         return integrate_density(term, points, evaluate)
 
     def _difference(self, points, values, name):
-        """Central difference of the image by one of the density's parameters."""
+        """Central difference of the image by a parameter of the density or of the diffusion."""
         source = self.shape.get(name, name)
-        size = float(np.max(np.abs(values[source]))) if name in self.shape else 1.0
-        step = _STEP * max(1.0, size)
+        step = _STEP * max(1.0, np.max(np.abs(values[source]))) if name in self.shape else _STEP
         changes = ({source: values[source] + size} for size in (step, -step))
         high, low = (integrate_term(self.term(values | change), points) for change in changes)
         return (high - low) / (2 * step)
@@ -220,26 +216,29 @@ class PRF(StarModel):
             "x_0": value_of(first.x_0) if x_0 is None else x_0,
             "y_0": value_of(first.y_0) if y_0 is None else y_0,
         }
-        alone = _POSITION if len(terms) == 1 else ()
-        parameters = {name: _like(getattr(first, name), name) for name in alone}
+        parameters = {}
+
+        def take_over(model, names, **options):
+            for own, name in names.items():
+                parameters[name] = _like(getattr(model, own), name, **options)
+                values.setdefault(name, value_of(getattr(model, own)))
+
+        if len(terms) == 1:
+            take_over(first, {name: name for name in _POSITION})
         for k, component in enumerate(self._components):
-            for own, name in component.shape.items():
-                source = getattr(component.model, own)
-                parameters[name] = _like(source, name)
-                values[name] = value_of(source)
+            take_over(component.model, component.shape)
             if part := component.fraction:
                 text = f"Part of the flux in component {k}"
                 parameters[part] = Parameter(part, bounds=(0.0, 1.0), description=text)
                 values[part] = float(fluxes[k] / total)
-                for name, axis in zip(component.offsets, ("x_0", "y_0"), strict=True):
-                    text = f"{axis[0]} of component {k} less {axis}"
-                    parameters[name] = Parameter(name, fixed=True, description=text)
-                    source, origin = getattr(component.model, axis), getattr(first, axis)
-                    values[name] = value_of(source) - value_of(origin)
+            for name, axis in zip(component.offsets, ("x_0", "y_0"), strict=False):
+                text = f"{axis[0]} of component {k} less {axis}"
+                parameters[name] = Parameter(name, fixed=True, description=text)
+                values[name] = value_of(getattr(component.model, axis)) - value_of(
+                    getattr(first, axis)
+                )
         for response in self._responses:
-            for own, name in response.names.items():
-                parameters[name] = _like(getattr(response.model, own), name, fixed=True)
-                values[name] = value_of(getattr(response.model, own))
+            take_over(response.model, response.names, fixed=True)
         make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
@@ -319,10 +318,10 @@ class PRF(StarModel):
     @property
     def sensitivity(self):
         """The response within a pixel: a sensitivity, a product of several, or None."""
-        models = [response.model.copy() for response in self._responses]
-        for response, model in zip(self._responses, models, strict=True):
-            for own, source in response.names.items():
-                getattr(model, own).value = float(getattr(self, source).value)
+        models, numbers = [], numbers_of(self)
+        for response in self._responses:
+            models.append(response.model.copy())
+            models[-1].parameters = [numbers[name] for name in response.names.values()]
         return reduce(mul, models) if models else None
 
     @property
