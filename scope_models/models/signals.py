@@ -1,7 +1,6 @@
 """Signals: relative flux of a star against time, as one-dimensional astropy models.
 
-A signal is 1 where nothing happens, or has the mean 1. Signals compose: ``planet_b * planet_c *
-spots``.
+A signal is 1 where nothing happens, or has the mean 1.
 """
 
 import astropy.units as u
@@ -37,9 +36,8 @@ class TransitModel(Fittable1DModel):
 
     The star is a disc with quadratic limb darkening,
     :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque disc on a Keplerian
-    orbit. The drop is the exact integral over the overlap of the discs (exoplanet-core, Agol et al.
-    2020 [1]_), averaged over the exposure by Gauss-Legendre quadrature with 101 nodes: the average
-    is within 1 ppm of the exact one for drops up to 2.5 % and exposures up to an hour.
+    orbit. The drop is exact for overlapping discs (exoplanet-core [1]_); its average over the
+    exposure, by 101 nodes, is within 1 ppm for drops up to 2.5 % and exposures up to an hour.
 
     Parameters
     ----------
@@ -56,20 +54,15 @@ class TransitModel(Fittable1DModel):
     u1, u2 : float
         Coefficients of quadratic limb darkening.
     exposure_time : float or `~astropy.units.Quantity`, optional
-        Length of an exposure in days, centered on each time; 0 gives
-        instantaneous values. An attribute, not a fitted parameter.
-    **kwargs : dict
-        Name, bounds, fixed and so on, see `~astropy.modeling.Model`.
+        Length of an exposure in days, centered on each time. An attribute, not a fitted parameter.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
 
     Raises
     ------
     ValueError
         If a parameter or the exposure time is outside its domain, also when it is set later, or
         its unit does not convert.
-
-    See Also
-    --------
-    scope_models.models.sinusoidal_signal, scope_models.models.stochastic_signal
 
     References
     ----------
@@ -141,8 +134,7 @@ class TransitModel(Fittable1DModel):
         Parameters
         ----------
         depth : float or `~astropy.units.Quantity`
-            Relative drop at mid-transit with limb darkening and for a short exposure, between 0
-            and 1.
+            Relative drop at mid-transit for a short exposure, between 0 and 1.
         duration, period : float or `~astropy.units.Quantity`
             Time from first to fourth contact, and orbital period, in days.
         t0 : float or `~astropy.units.Quantity`, optional
@@ -157,7 +149,7 @@ class TransitModel(Fittable1DModel):
         Returns
         -------
         `TransitModel`
-            A model with this depth and duration.
+            The model.
 
         Raises
         ------
@@ -224,8 +216,8 @@ class TransitModel(Fittable1DModel):
         Raises
         ------
         ValueError
-            If an argument is outside its domain, or not exactly one of `a`
-            and `density`, or both `inc` and `b` are given.
+            If an argument is outside its domain, or not exactly one of `a` and `density`, or both
+            `inc` and `b` are given.
 
         Examples
         --------
@@ -273,21 +265,19 @@ class TransitModel(Fittable1DModel):
     def duration(self):
         """Time from first to fourth contact in days, 0 without a transit."""
         p = self._in_units()
-        reach = 1 + p["rp"]
-        args = tuple(p[name] for name in _ORBIT)
+        orbit, reach = [p[name] for name in _ORBIT], 1 + p["rp"]
 
-        def separation(time):
-            return _separation(np.array([time]), *args)[0] - reach
+        def beyond(time):
+            return _separation(np.array([time]), *orbit)[0] - reach
 
-        if not separation(0.0) < 0:
+        if not beyond(0.0) < 0:
             return 0.0
-        step = reach / _fastest(*args[:2], args[3])
         contacts = []
-        for sign in (-1, 1):
-            end = sign * step
-            while separation(end) < 0:
-                end += sign * step
-            contacts.append(brentq(separation, end - sign * step, end, xtol=1e-12))
+        for step in np.array([-1, 1]) * reach / _fastest(p["period"], p["a"], p["ecc"]):
+            end = step
+            while beyond(end) < 0:
+                end += step
+            contacts.append(brentq(beyond, end - step, end, xtol=1e-12))
         return contacts[1] - contacts[0]
 
     @property
@@ -313,7 +303,7 @@ class TransitModel(Fittable1DModel):
         x = plain_array(x, u.day, "x")
         if p["t0"] > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
             raise ValueError(f"`t0` must have the zero of the times, got the date {p['t0']:.1f}")
-        orbit = tuple(p[name] for name in _ORBIT)
+        orbit = [p[name] for name in _ORBIT]
         time = x.ravel() - p["t0"]
         flux = np.where(np.isfinite(time), 1.0, np.nan)
         # no cadence is lost: the planet cannot move farther within half an exposure
@@ -465,16 +455,14 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
     The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
     (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
-    low frequency and falls as the fourth power of the frequency, as granulation's does. It is
-    scaled so that the root mean square of lightkurve's CDPP is `cdpp`: the variance of its running
-    mean after the Savitzky-Golay filter follows from the covariance. The estimator's clipping and
-    the edges of the filter raise its mean by up to 3 %.
+    low frequency and falls as the fourth power of the frequency, as granulation's does. The
+    covariance gives the root mean square of lightkurve's CDPP, which is scaled to `cdpp`; the
+    estimator's clipping and the edges of its filter raise the mean by up to 3 %.
 
     Parameters
     ----------
     time : array_like or `~astropy.units.Quantity`
-        Times ``(n,)`` in days, increasing, at which it is drawn; linear in
-        between, so give times as dense as the noise needs.
+        Times ``(n,)`` in days, increasing, at which it is drawn; linear in between.
     cdpp : float or `~astropy.units.Quantity`
         Expected CDPP in ppm, in lightkurve's convention.
     timescale : float or `~astropy.units.Quantity`, optional
