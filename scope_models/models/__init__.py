@@ -2,8 +2,13 @@
 
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
-from scope_models.models.psf import BivariateGaussianPSF, GaussHermitePSF, moffat_psf
-from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
+from scope_models.models.psf import (
+    BivariateGaussianPSF,
+    DiffusionSensitivity,
+    GaussHermitePSF,
+    SensitivityPolynomial,
+    moffat_psf,
+)
 from scope_models.models.signals import (
     TransitModel,
     sinusoidal_signal,

@@ -15,7 +15,7 @@ from astropy.time import Time
 
 from scope_models._arrays import is_angle, plain_array
 from scope_models.models._parameters import value_of
-from scope_models.models.sensitivity import SensitivityPolynomial
+from scope_models.models.psf import SensitivityPolynomial
 
 __all__ = [
     "check_coord", "class_named", "describe_coord", "describe_model", "make_coord",

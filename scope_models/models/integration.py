@@ -12,17 +12,13 @@ from astropy.modeling import CompoundModel, Model
 from astropy.modeling.models import Const2D, Gaussian2D
 from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
+from scipy.special import erf
 
 from scope_models._arrays import is_angle, plain_array, without_unit
 from scope_models._checks import checked_choice, checked_shape
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._gaussian import gauss_legendre, gaussian_nodes, gaussian_pixels
 from scope_models.models._parameters import value_of
-from scope_models.models.sensitivity import (
-    DiffusionSensitivity,
-    SensitivityPolynomial,
-    collected,
-)
 
 __all__ = ["integrate_pixels"]
 
@@ -37,6 +33,9 @@ _WIDTHS = dict.fromkeys(("sigma", "sigma_x", "sigma_y", "x_stddev", "y_stddev"),
 _WIDTHS |= dict.fromkeys(("fwhm", "x_fwhm", "y_fwhm"), _FWHM)
 _WIDTHS |= {"gamma": 1.0, "alpha": 1.0, "radius": 3.0, "r_eff": 1.0}
 _SCALE_OF_OTHERS = 0.3
+# Pixels, in place of no diffusion: so small that each pixel is a box, and squares of quotients are
+# finite.
+_LEAST_DIFFUSION = 1e-100
 # Standard deviations of the diffusion beyond which no charge of a pixel comes from.
 _DIFFUSION_REACH = 7.0
 # Change between two rules, as part of an image's flux, at which a pixel has converged.
@@ -244,7 +243,7 @@ def expand(model):
             return [a * b for a in left for b in right]
     if isinstance(model, Const2D):
         return [Term(scale=value_of(model.amplitude))]
-    if isinstance(model, (SensitivityPolynomial, DiffusionSensitivity)):
+    if hasattr(model, "powers"):  # a sensitivity
         return [Term(sensitivities=(Factor.of(model),))]
     # A PRF that is nothing but a table stands for it.
     table = getattr(model, "table", None)
@@ -369,6 +368,18 @@ def integrate_term(term, points, method="auto"):
     else:
         images = integrate_density(term, points)
     return _spread(term.scale, points) * images
+
+
+def collected(offset, sigma):
+    """Part of the charge that a pixel collects along one axis, and its derivative by sigma.
+
+    The charge is set free at an offset from the pixel's center and diffuses by sigma, pixels.
+    """
+    offset, sigma = np.asarray(offset, dtype=float), max(sigma, _LEAST_DIFFUSION)
+    scaled = np.stack([offset + 0.5, offset - 0.5]) / (np.sqrt(2) * sigma)
+    part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
+    slope = scaled * np.exp(-(scaled**2)) / (np.sqrt(np.pi) * sigma)
+    return part, slope[1] - slope[0]
 
 
 def _already_integrated(term, points, names):
