@@ -38,18 +38,17 @@ def describe_model(model):
     if isinstance(model, CompoundModel):
         left, right = describe_model(model.left), describe_model(model.right)
         return {"operator": model.op, "left": left, "right": right}
+    values = {}
+    for name in model.param_names:
+        parameter = getattr(model, name)
+        value = values[name] = np.asarray(parameter.value).tolist()
+        if parameter.unit is not None:
+            values[name] = {"value": value, "unit": str(parameter.unit)}
+    values |= {k: packed(v) for k, v in getattr(model, "arguments", {}).items()}
     if isinstance(model, SensitivityPolynomial):
         names = ("x_coefficients", "y_coefficients")
         values = {name: list(getattr(model, name)) for name in names}
-    else:
-        values = {name: _value(getattr(model, name)) for name in model.param_names}
-        values |= {k: packed(v) for k, v in getattr(model, "arguments", {}).items()}
     return {"class": type(model).__name__, "parameters": values}
-
-
-def _value(parameter):
-    value = np.asarray(parameter.value).tolist()
-    return value if parameter.unit is None else {"value": value, "unit": str(parameter.unit)}
 
 
 def make_model(described):
@@ -151,10 +150,9 @@ def model_in_pixels(model, pixel_scale):
 
 
 def class_named(name, base, modules, what):
-    """Return the class of a public name; of a full name, the last part counts.
+    """Return the class of a public name, of which the last part counts; nothing is imported by it.
 
-    Classes of ``modules`` go first, then any subclass of ``base`` that the user has defined.
-    ``what`` is what messages call the base. Nothing is imported by a file's word.
+    Classes of ``modules`` go first, then subclasses of the ``base``, called ``what``, of the user.
     """
     short = str(name).rpartition(".")[2]
     public = (getattr(importlib.import_module(module), short, None) for module in modules)

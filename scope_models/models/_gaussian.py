@@ -1,8 +1,7 @@
 r"""Exact integrals over pixels of a bivariate normal density times a polynomial.
 
-Pure functions of arrays, without models and units. A pixel is the unit square around an integer (or
-any other) center, and the polynomial is in ``(u, v)``, the offset from that center, so that each
-pixel sees the same polynomial.
+A pixel is the unit square around any center, and the polynomial is in ``(u, v)``, the offset from
+that center, so that each pixel sees the same polynomial.
 
 The bivariate normal density is a sum of separable terms (Mehler's expansion, Abramowitz and
 Stegun 22.9.3 with 26.2.31)
@@ -51,8 +50,7 @@ _MOST_NODES = 1000
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
 _LINE_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
-# Fewest and most densities in a step of the series: fewer are not worth its overhead, and fresh
-# large arrays cost more than the computation in them.
+# Fewest and most densities in a step of the series: overhead and fresh large arrays take time.
 _FEWEST, _MOST = 32, 1024
 # Scale of a density, in the size of a panel, down to which the line rule has one panel.
 _PANEL = 0.1
@@ -159,14 +157,12 @@ _known_panels = lru_cache(maxsize=32)(lambda *_: {})
 class AxisPanels:
     """Integrals along one axis of a polynomial times the functions ``h_k``, by position and width.
 
-    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over pixels of given centers, where
-    p has the coefficients, the constant first. Order k needs to be exact to ``1 / |rho|^(k/2)``
-    only, with the largest correlation coefficient rho.
+    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over pixels of given centers. Order
+    k needs to be exact to ``1 / |rho|^(k/2)`` only, with the largest correlation coefficient rho.
 
     They are interpolated within panels of a ``span`` in position, of which one has the ``middle``,
     pixels, and an eighth in the logarithm of the width: in given panels the integrals at a position
-    are the same, to the last bit, independent of the other positions. Axes of equal arguments share
-    their `panels`.
+    are the same, to the last bit, independent of the other positions.
     """
 
     def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=_SPAN):
@@ -259,9 +255,7 @@ def axis_table(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
 def n_terms(rho):
     """Number of terms of Mehler's expansion for the tolerance."""
     largest = np.max(np.abs(rho))
-    if largest == 0:
-        return 1
-    return int(np.ceil(np.log(_TOLERANCE) / np.log(largest))) + 1
+    return 1 if largest == 0 else int(np.ceil(np.log(_TOLERANCE) / np.log(largest))) + 1
 
 
 def uses_series(sigma_x, rho, degree):
@@ -315,9 +309,8 @@ def slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh):
 def separable_images(x, y, parameters, coefficients, n_orders, weigh, further, out, rho=0.0):
     """Fill in sums of products of integrals along both axes: one image, or with its slopes.
 
-    ``weigh(part, table)`` multiplies tables along y by the coefficients of a slice of densities,
-    and ``further(part, x_table, y_table)`` returns the pairs of tables of slopes that follow those
-    by positions and widths.
+    ``weigh(part, table)`` multiplies tables along y by the coefficients of a slice of densities;
+    slopes of ``further(part, x_table, y_table)`` follow those by positions and widths.
     """
     x_0, y_0, *widths = parameters
     n = n_orders if len(out) == 1 else n_orders + 2
@@ -402,10 +395,7 @@ def _reached(pixels, center, sigma):
 
 
 def flattened(parameters):
-    """The common shape of parameters, and each as ``(n,)``; one number stays one, for speed.
-
-    The first two are positions, which are always ``(n,)``.
-    """
+    """The common shape of parameters, and each as ``(n,)``; one number but a position stays one."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
     places = [np.broadcast_to(p, shape) for p in parameters[:2]]
@@ -420,8 +410,7 @@ def gaussian_pixels(
 
     ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
     and ``along_y`` the coefficients of the polynomials in u and v, the constants first. With
-    ``derivatives`` those by x_0, y_0, sigma_x, sigma_y and rho follow: ``(6, ..., ny, nx)``. The
-    cheaper of two engines, series and line rule, renders the pixels within reach.
+    ``derivatives`` those by x_0, y_0, sigma_x, sigma_y and rho follow: ``(6, ..., ny, nx)``.
     """
     shape, flat = flattened((x_0, y_0, sigma_x, sigma_y, rho))
     n = flat[0].size

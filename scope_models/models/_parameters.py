@@ -101,7 +101,7 @@ _TESTS = {
 
 @dataclass(frozen=True)
 class Domain:
-    """Validator of a parameter; a class, so that models that hold it can be pickled."""
+    """Validator of a parameter, which can be pickled."""
 
     name: str
     condition: str

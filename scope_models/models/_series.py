@@ -34,10 +34,9 @@ class ImageSeries:
     Gaussians are interpolated between places that depend on the reference position ``at`` alone:
     the same position and width give the same pixels to the last bit, however the series is split.
 
-    The first component of the PSF is put at the star's position; one that is integrated over pixels
-    contains the sensitivity. Positions and factors on the width, or their extremes, choose the
-    `window` that the star lights. With a ``blur``, px, images of sums of Gaussians are convolved
-    with a normal distribution of the star's position along each axis.
+    The first component of the PSF is put at the star's position. Positions and factors on the
+    width, or their extremes, choose the `window` that the star lights. With a ``blur``, px, images
+    of sums of Gaussians are convolved with a normal distribution of the position along each axis.
     """
 
     def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0, at=(0, 0)):

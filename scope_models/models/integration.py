@@ -51,12 +51,11 @@ _CHUNK = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class ClosedForm:
-    """Integral of a density over pixels without quadrature.
+    """Integral of a density over pixels without quadrature: of a model's ``closed_form(values)``.
 
-    A model has one by a method ``closed_form(values)``; so have the Gaussians of astropy and
-    photutils. ``pixels(x, y, *parameters, along_x, along_y)``, with columns, rows and the
-    polynomial response along the axes, returns images ``(..., ny, nx)`` of unit flux; with
-    ``derivatives=True`` the same and those by ``names``, if there are any, on a new first axis.
+    ``pixels(x, y, *parameters, along_x, along_y)``, with columns, rows and the polynomial response
+    along the axes, returns images ``(..., ny, nx)`` of unit flux; with ``derivatives=True`` the
+    same and those by ``names``, if there are any, on a new first axis.
     """
 
     flux: object  # integral over the plane
@@ -371,10 +370,7 @@ def integrate_term(term, points, method="auto"):
 
 
 def collected(offset, sigma):
-    """Part of the charge that a pixel collects along one axis, and its derivative by sigma.
-
-    The charge is set free at an offset from the pixel's center and diffuses by sigma, pixels.
-    """
+    """Part of the charge at an offset that a pixel collects along an axis; its slope by sigma."""
     offset, sigma = np.asarray(offset, dtype=float), max(sigma, _LEAST_DIFFUSION)
     scaled = np.stack([offset + 0.5, offset - 0.5]) / (np.sqrt(2) * sigma)
     part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
@@ -406,14 +402,13 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
 
     for any two-dimensional model or compound m. Products are integrated jointly: the integral of
     a PSF times a sensitivity (equation 1 of Saunders et al. 2019) is not the product of their
-    integrals, which ignores the response within a pixel.
+    integrals.
 
-    Sums are taken apart, constants come out, and a Gaussian (`~scope_models.BivariateGaussianPSF`,
+    A Gaussian (`~scope_models.BivariateGaussianPSF`,
     `~astropy.modeling.functional_models.Gaussian2D`, photutils' GaussianPSF and
     CircularGaussianPSF) times any number of sensitivities is integrated in closed form, to about
     1e-12 of its flux. Everything else is integrated by Gauss-Legendre rules with a number of
-    nodes that grows until two rules agree to 1e-11 of the flux in the image. The image is never
-    oversampled.
+    nodes that grows until two rules agree to 1e-11 of the flux in the image.
 
     Parameters
     ----------
@@ -441,8 +436,8 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
         If model is not a model, or shape not two integers.
     ValueError
         If the model has other inputs or outputs, both or neither of shape and (x, y) are given, a
-        pixel-integrated model is multiplied by something that varies within a pixel, or there is
-        no closed form for ``method="analytic"``.
+        pixel-integrated model is multiplied by something that varies within a pixel, or
+        ``method="analytic"`` finds no closed form.
 
     Warns
     -----
@@ -500,10 +495,9 @@ def _rule(integrand, index, corner_u, corner_v, size, n):
 def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, depth=0):
     """Improve the integrals of ``integrand(u, v, index)`` over squares until their rules agree.
 
-    The offsets from the centers of the squares ``index`` ``(m,)`` are u, ``(m, 1, k)``, and v,
-    ``(m, k, 1)``. Every square is integrated by two rules; where they differ by more than the
-    tolerance, the number of nodes grows by half, and beyond 48 per axis the square is cut into
-    quarters. Squares that have not converged warn.
+    The offsets from the centers of the pixels ``index`` ``(m,)`` are u, ``(m, 1, k)``, and v,
+    ``(m, k, 1)``. Where two rules differ by more than the tolerance, the number of nodes grows by
+    half, and beyond 48 per axis the square is cut into quarters.
     """
     values = values.copy()
     active = np.arange(index.size)

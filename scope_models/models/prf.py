@@ -67,8 +67,7 @@ class _Component:
     def at(self, values, flux):
         """The density or table with its parameters at values of the PRF's."""
         model = self.model.copy()
-        for name, value in self.own_values(values, flux).items():
-            getattr(model, name).value = float(value)
+        model.parameters = [float(value) for value in self.own_values(values, flux).values()]
         return model
 
     def term(self, values, flux=1.0):
@@ -148,8 +147,7 @@ class PRF(StarModel):
     compound : `~astropy.modeling.Model`
         Sum of densities with the parameters ``flux``, ``x_0`` and ``y_0`` (our PSFs, photutils'
         PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial` and
-        `~scope_models.models.DiffusionSensitivity`, such as
-        ``(core + wings) * SensitivityPolynomial()``. A `~scope_models.models.TabulatedPRF` is a
+        `~scope_models.models.DiffusionSensitivity`. A `~scope_models.models.TabulatedPRF` is a
         component too, but never times a sensitivity: its fluxes hold the response of the pixels.
     flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
         Overall flux and position; by default the sum of the components' fluxes and the position
@@ -170,12 +168,11 @@ class PRF(StarModel):
     The parameters are ``flux``, ``x_0``, ``y_0`` and the components' own remaining ones. With
     several components these end in ``_0``, ``_1``, ..., and each component but the first has
     ``flux_fraction_k``, its part of the flux (the first has the rest), and ``x_offset_k``,
-    ``y_offset_k``, its position relative to the first. Nothing is tied: the constraints are in
-    the parametrization.
+    ``y_offset_k``, its position relative to the first.
 
-    Bounds and fixed parameters are taken over from the components. Two kinds are fixed unless
-    that is changed by, for example, ``prf.ax2.fixed = False``: the coefficients of the sensitivity
-    and the offsets, because a single image hardly separates them from position, flux and width.
+    Bounds and fixed parameters are taken over from the components. The coefficients of the
+    sensitivity and the offsets are fixed until, for example, ``prf.ax2.fixed = False``: a single
+    image hardly separates them from position, flux and width.
 
     Evaluated at positions that are not integers, the model gives the flux in the unit square
     around them, with the response of a pixel centered there, as photutils' PRFs do.
@@ -208,7 +205,7 @@ class PRF(StarModel):
         self._components, self._responses = _parts_of(terms)
         first = terms[0].densities[0].model
         fluxes = [term.scale * value_of(term.densities[0].model.flux) for term in terms]
-        total = sum(fluxes[1:], start=fluxes[0])
+        total = reduce(add, fluxes)
         if not np.isfinite(total) or total <= 0:
             raise ValueError(f"the components' fluxes must add up to a positive sum, got {total}")
         values = {
@@ -264,12 +261,11 @@ class PRF(StarModel):
         Parameters
         ----------
         path : str or path-like
-            A file, or a folder of files: see `~scope_models.models.PRFGrid.from_tess`.
+            A file, or a folder of files, as for `~scope_models.models.PRFGrid.from_tess`.
         camera, ccd : int, optional
             Which CCD; not needed if there is only one.
         column, row : float or `~astropy.units.Quantity`, optional
-            The place in pixels of the full-frame image, as in a target pixel file; not needed
-            for a single file.
+            The place in pixels of the full-frame image; not needed for a single file.
 
         Returns
         -------
@@ -290,9 +286,9 @@ class PRF(StarModel):
         Parameters
         ----------
         path : str or path-like
-            The file of a channel: see `~scope_models.models.PRFGrid.from_kepler`.
+            The file of a channel.
         column, row : float or `~astropy.units.Quantity`
-            The place in pixels of the channel, as in a target pixel file.
+            The place in pixels of the channel.
 
         Returns
         -------
@@ -308,10 +304,7 @@ class PRF(StarModel):
 
     @property
     def psf(self):
-        """The light before the pixel, of total flux 1, at the position of the model.
-
-        A density or a sum of densities; a table of a PRF stands for itself.
-        """
+        """The light before the pixel, of total flux 1; a table of a PRF stands for itself."""
         values = self._own_or()
         return reduce(add, (c.at(values, fraction) for c, fraction in self._parts(values)))
 
@@ -329,8 +322,8 @@ class PRF(StarModel):
         """Kinds of the parameters in a fit, where they have one (dict of str).
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
-        relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
-        of one that shares charge, and "correction" a coefficient of a factor of a table.
+        relative to the star, "response" and "diffusion" belong to sensitivities, and "correction"
+        to a factor of a table.
         """
         kinds = {}
         for component in self._components:
@@ -461,11 +454,11 @@ class PRF(StarModel):
         shape : tuple of int
             Shape (ny, nx) of an image.
         flux, x_0, y_0 : float or array_like, optional
-            Flux, column and row at each of n cadences, shape ``(n,)``; a number serves for all
-            of them. The default is the parameter's value.
+            Flux, column and row at each of n cadences, ``(n,)``, or a number for all; by default
+            the model's.
         out, coords : `~numpy.ndarray`, optional
-            As for `astropy.modeling.Model.render`, of which this is then a call; so is one whose
-            first argument is an image, or that has no argument.
+            As for `astropy.modeling.Model.render`, which also takes calls without a shape, or with
+            an image in its place.
 
         Returns
         -------
@@ -479,20 +472,24 @@ class PRF(StarModel):
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)
-        given = {"flux": flux, "x_0": x_0, "y_0": y_0}
-        given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
-        unit = getattr(given["flux"], "unit", None)
-        own = {k: plain_array(v, u.pixel if k != "flux" else None, k) for k, v in given.items()}
-        for name, value in own.items():
-            if value.ndim > 1 or not np.all(np.isfinite(value)):
+        flux = value_of(self.flux) if flux is None else flux
+        unit, own = getattr(flux, "unit", None), numbers_of(self)
+        for name, value, wanted in (
+            ("flux", flux, None),
+            ("x_0", x_0, u.pixel),
+            ("y_0", y_0, u.pixel),
+        ):
+            if value is not None:
+                own[name] = plain_array(value, wanted, name)
+            if np.ndim(own[name]) > 1 or not np.all(np.isfinite(own[name])):
                 raise ValueError(f"`{name}` must be finite, a number or of shape (n,)")
-        shapes = [value.shape for value in own.values()]
+        shapes = [np.shape(own[name]) for name in _POSITION]
         try:
             np.broadcast_shapes(*shapes)
         except ValueError as error:
             message = f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
             raise ValueError(message) from error
-        images = self._images(PixelPoints.from_shape(shape), numbers_of(self) | own)
+        images = self._images(PixelPoints.from_shape(shape), own)
         return images if unit is None else images * unit
 
     def bounding_box(self):

@@ -57,15 +57,14 @@ class BivariateGaussianPSF(StarModel):
         \qquad z_x = \frac{x - x_0}{\sigma_x}, \quad z_y = \frac{y - y_0}{\sigma_y}.
 
     The density is the light before the pixel; `~scope_models.integrate_pixels` and
-    `~scope_models.PRF` integrate it. A sum of several is a PSF of several components whose total
-    flux is the sum of theirs. Equation 3 of Saunders et al. (2019) has an extra factor 1/2 on the
-    two squared terms in print, with which it neither integrates to its amplitude nor is positive
-    definite for :math:`|\rho| \ge 1/2`; this is the standard density.
+    `~scope_models.PRF` integrate it. Equation 3 of Saunders et al. (2019) has an extra factor 1/2
+    on the two squared terms in print, with which it neither integrates to its amplitude nor is
+    positive definite for :math:`|\rho| \ge 1/2`; this is the standard density.
 
     Parameters
     ----------
     flux : float or `~astropy.units.Quantity`
-        Integral of the density over the plane, usually in electrons per second.
+        Integral of the density over the plane.
     x_0, y_0 : float or `~astropy.units.Quantity`
         Position of the star in pixels; x is the column, y the row.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
@@ -80,10 +79,6 @@ class BivariateGaussianPSF(StarModel):
     ------
     ValueError
         If a parameter is not finite, sigma_x or sigma_y is not positive, or ``|rho| >= 1``.
-
-    Notes
-    -----
-    Parameters of shape ``(n,)`` make `~scope_models.integrate_pixels` return ``n`` images.
 
     References
     ----------
@@ -140,7 +135,7 @@ class BivariateGaussianPSF(StarModel):
 
     @staticmethod
     def closed_form(values):
-        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
+        """Return the integrals over pixels in closed form."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
         return ClosedForm(values["flux"], parameters, gaussian_pixels, (*names, "rho"))
@@ -161,9 +156,9 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
         \frac{1}{\Gamma(\beta)} \int_0^\infty t^{\beta - 1} e^{-t (1 + r^2 / \alpha^2)}\, dt ,
         \qquad \mathrm{FWHM} = 2 \alpha \sqrt{2^{1 / \beta} - 1} ,
 
-    and Gauss-Laguerre quadrature makes a sum of it. Of the default ``beta``, eight components
-    have the flux within one FWHM of the star to 1e-5, and 0.1 percent of all flux in another
-    place, most of it beyond three FWHM. ``photutils.psf.MoffatPSF`` is the exact function.
+    and Gauss-Laguerre quadrature makes a sum of it. By default the flux within one FWHM of the star
+    is right to 1e-5, and 0.1 percent of all flux is in another place, most of it beyond three FWHM.
+    ``photutils.psf.MoffatPSF`` is the exact function.
 
     Parameters
     ----------
@@ -218,16 +213,15 @@ class GaussHermitePSF(StarModel):
         \qquad h_k(z) = \frac{He_k(z)}{\sqrt{k!}} \varphi(z), \quad c_{00} = 1,
 
     with :math:`z_x = (x - x_0) / \sigma_x`, the probabilists' Hermite polynomials and the normal
-    density :math:`\varphi`. Only the first term has a total flux, so that F is that of the model.
-    The functions are orthogonal, and smooth on the scale :math:`\sigma / \sqrt{N}`. The density
-    may be negative somewhere: it describes, and does not explain.
+    density :math:`\varphi`. Only the first term has a total flux. The density may be negative
+    somewhere.
 
     Parameters
     ----------
     flux : float or `~astropy.units.Quantity`
         Integral of the density over the plane.
     x_0, y_0 : float or `~astropy.units.Quantity`
-        Center in pixels.
+        Position of the star in pixels.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
         Widths of the first term in pixels.
     order : int, optional
@@ -327,7 +321,7 @@ class GaussHermitePSF(StarModel):
         return images if derivatives else images[0]
 
     def closed_form(self, values):
-        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
+        """Return the integrals over pixels in closed form."""
         parameters = tuple(pixels_of(values[name]) for name in self.param_names[1:5])
         matrix = self._matrix([values[name] for name in self.param_names[5:]])
         integrals = partial(self._integrals, matrix)
@@ -344,23 +338,14 @@ def _offset(position):
     return position - np.floor(position + 0.5)
 
 
-def _checked(name, coefficients):
-    coefficients = plain_array(coefficients, u.one, name)
-    if coefficients.ndim != 1 or coefficients.size == 0:
-        shape = coefficients.shape
-        raise ValueError(f"`{name}` must be a sequence of at least one number, got shape {shape}")
-    return coefficients
-
-
 class SensitivityPolynomial(Fittable2DModel):
     r"""Response within each pixel: a polynomial in x times a polynomial in y.
 
     .. math:: s(x, y) = \sum_n a_{x,n} u^n \; \sum_m a_{y,m} v^m,
 
     where (u, v), each in [-1/2, 1/2), is the offset of (x, y) from the center of the pixel that
-    holds it, so that every pixel has the same response. This is equation 2 of Saunders et al.
-    (2019) without the factor :math:`b_i` of the pixel, which is the interpixel map of a
-    `~scope_models.Detector`.
+    holds it: equation 2 of Saunders et al. (2019) without the factor :math:`b_i` of the pixel,
+    which is the interpixel map of a `~scope_models.Detector`.
 
     Parameters
     ----------
@@ -392,13 +377,17 @@ class SensitivityPolynomial(Fittable2DModel):
     """
 
     def __init__(self, x_coefficients=(1, 0, -0.05), y_coefficients=(1, 0, -0.05), **kwargs):
-        x_coefficients = _checked("x_coefficients", x_coefficients)
-        y_coefficients = _checked("y_coefficients", y_coefficients)
-        self._n_x = x_coefficients.size
-        values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
-        values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        offsets = {"x": "u", "y": "v"}
-        make_parameters(self, {n: f"Coefficient of {offsets[n[1]]}^{n[2:]}" for n in values})
+        values, texts = {}, {}
+        for axis, offset, given in (("x", "u", x_coefficients), ("y", "v", y_coefficients)):
+            name = f"{axis}_coefficients"
+            row = plain_array(given, u.one, name)
+            if row.ndim != 1 or row.size == 0:
+                wanted = "a sequence of at least one number"
+                raise ValueError(f"`{name}` must be {wanted}, got shape {row.shape}")
+            values |= {f"a{axis}{n}": value for n, value in enumerate(row)}
+            texts |= {f"a{axis}{n}": f"Coefficient of {offset}^{n}" for n in range(row.size)}
+        self._n_x = len(values) - row.size
+        make_parameters(self, texts)
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
 
@@ -423,7 +412,7 @@ class SensitivityPolynomial(Fittable2DModel):
         return along_x * polyval(_offset(y), coefficients[self._n_x :], tensor=False)
 
     def fit_deriv(self, x, y, *coefficients):
-        """Derivatives of the response with respect to the coefficients, in their order."""
+        """Derivatives of the response with respect to the parameters, in their order."""
         u, v = _offset(x), _offset(y)
         along_x = polyval(u, coefficients[: self._n_x], tensor=False)
         along_y = polyval(v, coefficients[self._n_x :], tensor=False)
@@ -442,9 +431,8 @@ class DiffusionSensitivity(Fittable2DModel):
               \mathrm{erf}\frac{u - 1/2}{\sqrt{2}\,\sigma_d}\right]
 
     is the part of the charge from the offset (u, v) that a pixel collects. It does not end at the
-    pixel's edge: light that falls into a pixel is collected by its neighbors too, and the sum over
-    all pixels is 1. No light is lost, and a sum of all pixels does not depend on where the
-    star is, however deep the drop of a single pixel's response.
+    pixel's edge: neighbors collect the rest, so that a sum of all pixels loses no light and does
+    not depend on where the star is.
 
     Parameters
     ----------
@@ -460,15 +448,12 @@ class DiffusionSensitivity(Fittable2DModel):
 
     Notes
     -----
-    In a product with a density, integrated over pixels, this response reaches into the pixels
-    around: the result is that of the density convolved with the diffusion. A Gaussian becomes a
-    wider Gaussian, so that pixels do not separate its width and sigma_d, and
-    `~scope_models.fit_tpf` holds sigma_d where a width is free. A
-    `~scope_models.SensitivityPolynomial` in the product acts where the light falls, before the
-    charge diffuses.
+    The integral over pixels of a density times this response is that of the density convolved with
+    the diffusion. A Gaussian becomes a wider Gaussian, so that pixels do not separate its width and
+    sigma_d, and `~scope_models.fit_tpf` holds sigma_d where a width is free. A
+    `~scope_models.SensitivityPolynomial` in the product acts before the charge diffuses.
 
-    Evaluated, the model is the part that the pixel which holds (x, y) keeps; `response` is that of
-    any pixel.
+    Evaluated, the model is the part that the pixel which holds (x, y) keeps.
 
     Examples
     --------
@@ -502,7 +487,7 @@ class DiffusionSensitivity(Fittable2DModel):
         Parameters
         ----------
         dx, dy : array_like or `~astropy.units.Quantity`
-            Where the charge is set free, from the pixel's center, pixels; anywhere.
+            Where the charge is set free, from the pixel's center, pixels.
 
         Returns
         -------
@@ -519,7 +504,7 @@ class DiffusionSensitivity(Fittable2DModel):
         return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
 
     def fit_deriv(self, x, y, sigma_d):
-        """Derivative of the response with respect to sigma_d, a list of one array."""
+        """Derivatives of the response with respect to the parameters, a list of one array."""
         sigma = float(np.ravel(sigma_d)[0])
         along_x, by_x = collected(_offset(x), sigma)
         along_y, by_y = collected(_offset(y), sigma)

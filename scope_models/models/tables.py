@@ -95,7 +95,7 @@ def _basis_integrals(knots, pixels, polynomial, order):
 
 
 class _Table(StarModel):
-    """What tables of densities and of fluxes of pixels have in common."""
+    """A table of a density or of fluxes of pixels."""
 
     def __init__(
         self, array, oversampling=1, flux=1.0, x_0=0.0, y_0=0.0, *, origin=None, uncertainty=None,
@@ -247,7 +247,7 @@ class TabulatedPRF(_Table):
     """Flux of a pixel as a function of its offset from the star, given by samples.
 
     A spline of degree 5 through the samples, 0 outside. The values hold the response of the pixels:
-    they are never multiplied by a sensitivity. `~scope_models.PRF` makes images of it.
+    they are never multiplied by a sensitivity.
 
     Parameters
     ----------
@@ -270,10 +270,9 @@ class TabulatedPRF(_Table):
     _fluxes = _Table.array  # of a star of unit flux
 
     def uncertainty_image(self, shape):
-        """Return the uncertainty of the fluxes in an image that the table brings with it.
+        """Return the uncertainty of the fluxes in an image, as the samples' is interpolated.
 
-        It is interpolated between the samples' standard deviations; errors of neighboring
-        samples and pixels are correlated.
+        Errors of neighboring pixels are correlated.
 
         Parameters
         ----------
@@ -357,7 +356,7 @@ class CorrectedPRF(TabulatedPRF):
               \qquad t = \frac{d}{\sqrt{d^2 + r^2}},
 
     with Chebyshev polynomials. The mean over the table, weighted by it, is taken off each term, so
-    that the sum of the table, and with it the meaning of the flux, does not change.
+    that the sum of the table does not change.
 
     Parameters
     ----------
@@ -504,10 +503,10 @@ class PRFGrid(Value):
         return columns.size * rows.size == len(self.tables)
 
     def weights(self, column, row):
-        """Return the weight of each table at a place.
+        """Return the weight of each table at a place, by linear interpolation.
 
-        Bilinear where the places are a rectangular grid, else linear in the triangles between
-        them. Outside the places the nearest edge counts.
+        It is bilinear where the places are a rectangular grid, else linear in triangles. Outside
+        the places the nearest edge counts.
 
         Parameters
         ----------
@@ -551,12 +550,12 @@ class PRFGrid(Value):
         Parameters
         ----------
         column, row : float or `~astropy.units.Quantity`, optional
-            The place in pixels, as the tables count them; not needed for a single table.
+            The place in pixels; not needed for a single table.
 
         Returns
         -------
         table : TabulatedPRF
-            Its uncertainty is that of the weighted tables.
+            The mean of the tables with their `weights`.
 
         Raises
         ------
@@ -577,7 +576,7 @@ class PRFGrid(Value):
         return TabulatedPRF(samples, first.oversampling, origin=first.origin, uncertainty=error)
 
     def to_photutils(self):
-        """Return the grid as a model of photutils, which is bilinear between the places too.
+        """Return the grid as a model of photutils.
 
         Returns
         -------
@@ -633,8 +632,7 @@ class PRFGrid(Value):
         Parameters
         ----------
         path : str or path-like
-            One file, or a folder with the files of at least one CCD and of one epoch (sectors 1
-            to 3, or 4 and later).
+            One file, or a folder with the files of one epoch (sectors 1 to 3, or 4 and later).
         camera, ccd : int, optional
             Which CCD; not needed if there is only one.
 
@@ -648,7 +646,7 @@ class PRFGrid(Value):
         FileNotFoundError
             If there are no such files.
         ValueError
-            If the files are not of that format, of several CCDs, or of several epochs.
+            If the files are of another format, several CCDs, or several epochs.
         """
         path = Path(path)
         files = sorted([*path.glob("*prf*.fits"), *path.glob("*prf*.fits.gz")])
@@ -682,7 +680,7 @@ class PRFGrid(Value):
         OSError
             If the file cannot be opened.
         ValueError
-            If it is not of that format.
+            If it is of another format.
         """
         from astropy.io import fits
 
