@@ -32,36 +32,36 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """A sensitivity in a PRF; ``names`` leads from its own parameters to those of the PRF."""
+    """A sensitivity of a PRF, and the names in the PRF of its own parameters."""
 
     model: object
     names: dict
 
     @property
     def powers(self):
-        """Axis and power by parameter of the PRF."""
+        """Axis and power by name in the PRF."""
         return {self.names[own]: place for own, place in self.model.powers.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """One density or table of a PRF, and which parameter of the PRF feeds which of its own.
+    """One density or table of a PRF, and the names in the PRF of its own parameters.
 
-    ``shape`` leads from its own parameters to those of the PRF. ``fraction`` and ``offsets`` hold
-    part of the flux and position relative to the star; the first has the rest, and is the star.
+    ``fraction`` and ``offsets`` name the part of the flux and the position relative to the star;
+    the first component has the rest, and is the star.
     """
 
     model: object
     shape: dict
     fraction: str | None
-    offsets: tuple
+    offsets: dict
     responses: tuple
 
     def own_values(self, values, flux=1.0):
         own = {name: values[source] for name, source in self.shape.items()}
-        own["flux"] = flux
-        for name, offset in zip(("x_0", "y_0"), self.offsets or (None, None), strict=True):
-            own[name] = values[name] + values[offset] if offset else values[name]
+        own |= {"flux": flux, "x_0": values["x_0"], "y_0": values["y_0"]}
+        for name, offset in self.offsets.items():
+            own[name] = own[name] + values[offset]
         return {name: np.asarray(own[name]) for name in self.model.param_names}
 
     def at(self, values, flux):
@@ -228,12 +228,11 @@ class PRF(StarModel):
                 text = f"Part of the flux in component {k}"
                 parameters[part] = Parameter(part, bounds=(0.0, 1.0), description=text)
                 values[part] = float(fluxes[k] / total)
-            for name, axis in zip(component.offsets, ("x_0", "y_0"), strict=False):
+            for axis, name in component.offsets.items():
                 text = f"{axis[0]} of component {k} less {axis}"
                 parameters[name] = Parameter(name, fixed=True, description=text)
-                values[name] = value_of(getattr(component.model, axis)) - value_of(
-                    getattr(first, axis)
-                )
+                place, star = (value_of(getattr(m, axis)) for m in (component.model, first))
+                values[name] = place - star
         for response in self._responses:
             take_over(response.model, response.names, fixed=True)
         make_parameters(self, parameters)
@@ -329,7 +328,7 @@ class PRF(StarModel):
         for component in self._components:
             own = getattr(component.model, "parameter_kinds", {})
             kinds |= {source: own[name] for name, source in component.shape.items() if name in own}
-            kinds |= dict.fromkeys(component.offsets, "offset")
+            kinds |= dict.fromkeys(component.offsets.values(), "offset")
             kinds |= {component.fraction: "fraction"} if component.fraction else {}
         for response in self._responses:
             kind = "diffusion" if "sigma_d" in response.names else "response"
@@ -388,19 +387,18 @@ class PRF(StarModel):
 
     def _unit_derivatives(self, points, values):
         """Images of unit flux, and their derivatives by parameter, without the flux."""
-        total, derivatives, images = 0.0, {}, []
+        total, derivatives, first = 0.0, {}, None
         for component, fraction in self._parts(values):
             image, own = component.derivatives(points, values)
-            images.append(image)
+            first = image if first is None else first
             total = total + fraction * image
             for name, derivative in own.items():
                 part = fraction * derivative
-                if component.offsets and name in {"x_0", "y_0"}:
-                    derivatives[component.offsets[name == "y_0"]] = part
+                if name in component.offsets:
+                    derivatives[component.offsets[name]] = part
                 derivatives[name] = derivatives[name] + part if name in derivatives else part
-        for component, image in zip(self._components, images, strict=True):
             if component.fraction:
-                derivatives[component.fraction] = image - images[0]
+                derivatives[component.fraction] = image - first
         return total, derivatives
 
     def unit_images(self, shape, x_0=None, y_0=None, *, values=None, derivatives=False):
@@ -541,7 +539,7 @@ def _parts_of(terms):
         suffix = f"_{k}" if len(terms) > 1 else ""
         shape = {name: name + suffix for name in model.param_names if name not in _POSITION}
         fraction = f"flux_fraction_{k}" if k else None
-        offsets = (f"x_offset_{k}", f"y_offset_{k}") if k else ()
+        offsets = {"x_0": f"x_offset_{k}", "y_0": f"y_offset_{k}"} if k else {}
         own = tuple(responses[id(factor.model)] for factor in term.sensitivities)
         components.append(_Component(model.copy(), shape, fraction, offsets, own))
     return components, list(responses.values())
