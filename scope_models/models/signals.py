@@ -62,7 +62,7 @@ class TransitModel(Fittable1DModel):
     ------
     ValueError
         If a parameter or the exposure time is outside its domain, also when it is set later, or
-        its unit does not convert.
+        has another unit.
 
     References
     ----------
@@ -122,7 +122,7 @@ class TransitModel(Fittable1DModel):
         return super().__call__(*args, **kwargs)
 
     def _in_units(self):
-        """Return the value of each parameter in its documented unit."""
+        """Return all parameters as `_number` does."""
         return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}
 
     @classmethod
@@ -163,10 +163,10 @@ class TransitModel(Fittable1DModel):
         >>> print(f"{planet.depth:.4f} {planet.duration:.4f} {planet(5.0):.4f}")
         0.0100 0.5000 0.9900
         """
-        depth = plain_number(depth, u.one, "depth")
+        depth, b = plain_number(depth, u.one, "depth"), plain_number(b, u.one, "b")
+        u1, u2 = plain_number(u1, u.one, "u1"), plain_number(u2, u.one, "u2")
         duration, t0 = plain_number(duration, u.day, "duration"), plain_number(t0, u.day, "t0")
         period = checked_number("period", period, u.day, positive=True)
-        b, u1, u2 = (plain_number(v, u.one, n) for v, n in ((b, "b"), (u1, "u1"), (u2, "u2")))
         _require(0 < depth < 1, "depth", "between 0 and 1", depth)
         _require(0 < duration < period / 2, "duration", "above 0 and below half a period", duration)
         _require(0 <= b < 1, "b", "at least 0 and below 1", b)
@@ -184,8 +184,8 @@ class TransitModel(Fittable1DModel):
     ):  # fmt: skip
         r"""Make a transit from `a` or the star's density, and `inc` or `b`.
 
-        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, and the impact parameter the
-        inclination by :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
+        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, the impact parameter
+        :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class TransitModel(Fittable1DModel):
 
     @property
     def impact_parameter(self):
-        """Distance of the planet from the star's center at `t0`, in stellar radii."""
+        """Distance of the centers at `t0`, in stellar radii."""
         p = self._in_units()
         cosine, sine = np.cos(np.radians(p["inc"])), np.sin(np.radians(p["omega"]))
         return float(p["a"] * cosine * (1 - p["ecc"] ** 2) / (1 + p["ecc"] * sine))
@@ -289,14 +289,14 @@ class TransitModel(Fittable1DModel):
 
     @property
     def input_units(self):
-        """Unit of times: days; plain numbers are taken as days."""
+        """Unit of times: days, also of plain numbers."""
         return {self.inputs[0]: u.day}
 
     def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
-        """Relative flux, 1 outside transits, at times of mid-exposure in days, of any shape."""
+        """Relative flux at times of mid-exposure in days, of any shape."""
         given = zip(self.param_names, (period, t0, rp, a, inc, ecc, omega, u1, u2), strict=True)
         p = {name: _number(name, value) for name, value in given}
         _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
@@ -306,7 +306,7 @@ class TransitModel(Fittable1DModel):
         orbit = [p[name] for name in _ORBIT]
         time = x.ravel() - p["t0"]
         flux = np.where(np.isfinite(time), 1.0, np.nan)
-        # no cadence is lost: the planet cannot move farther within half an exposure
+        # The planet cannot move farther within half an exposure.
         travel = _fastest(p["period"], p["a"], p["ecc"]) * self.exposure_time / 2
         near = np.flatnonzero(_separation(time, *orbit, margin=travel) < 1 + p["rp"] + travel)
         if near.size:
@@ -323,7 +323,7 @@ def _require(condition, name, domain, value):
 
 
 def _number(name, value):
-    """Return a parameter as one plain number, from a scalar, an array of one or a Quantity."""
+    """Return a parameter in its documented unit as one plain number."""
     return plain_array(value, _UNITS.get(name, u.one), name).item()
 
 
@@ -333,9 +333,9 @@ def _fastest(period, a, ecc):
 
 
 def _separation(time, period, a, inc, ecc, omega, margin=0.0):
-    """Sky distance of the centers in stellar radii, infinite where the planet is behind.
+    """Sky distance of the centers, infinite where the planet is behind by more than `margin`.
 
-    `time` counts from conjunction; a planet less than `margin` behind is taken as in front.
+    `time` counts from conjunction; lengths are stellar radii.
     """
     inc, omega = np.radians(inc), np.radians(omega)
     half = np.pi / 4 - omega / 2
@@ -350,7 +350,7 @@ def _separation(time, period, a, inc, ecc, omega, margin=0.0):
 
 
 def _drop(separation, rp, u1, u2):
-    """Change of relative flux, at most 0, by a planet at a distance from the center."""
+    """Change of relative flux by a planet at a distance from the center."""
     separation = np.asarray(separation)
     drop, overlap = np.zeros(separation.shape), separation < 1 + rp
     if rp > 0 and np.any(overlap):
@@ -359,7 +359,7 @@ def _drop(separation, rp, u1, u2):
 
 
 class _OfTime:
-    """Mixin of signals: times with a unit become days, and other units are refused."""
+    """Mixin of signals: times become days, or are refused."""
 
     def evaluate(self, x, *parameters):
         return super().evaluate(plain_array(x, u.day, "time"), *parameters)
@@ -393,7 +393,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     Returns
     -------
     `~astropy.modeling.CompoundModel`
-        ``Const1D + Sine1D``, which astropy fits and multiplies.
+        ``Const1D + Sine1D``.
 
     Raises
     ------
@@ -444,7 +444,7 @@ def tabulated_signal(time, flux):
         raise ValueError(f"`flux` must have the shape {time.shape} of `time`, got {flux.shape}")
     if not (np.isfinite(flux).all() and flux.min() >= 0):
         raise ValueError("`flux` must be finite and not negative")
-    # one more point on either side, so far away that no time lies beyond it
+    # On either side a point that no time lies beyond.
     points = np.concatenate([[-1e12], time, [1e12]])
     table = np.concatenate([flux[:1], flux, flux[-1:]])
     return TabulatedSignal(points, table, method="linear")
@@ -468,7 +468,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
-        Quality factor of the oscillator; well above 1 for quasi-periodic variability.
+        Its quality factor; well above 1 for quasi-periodic variability.
     duration : float or `~astropy.units.Quantity`, optional
         Time scale of the CDPP in hours.
     seed : int or `~numpy.random.Generator`, optional
@@ -477,7 +477,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     Returns
     -------
     `~astropy.modeling.models.Tabular1D`
-        The signal; a new draw for every seed.
+        The signal.
 
     Raises
     ------

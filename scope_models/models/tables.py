@@ -153,12 +153,11 @@ class _Table(StarModel):
 
     def evaluate(self, x, y, flux, x_0, y_0):
         """Flux in the pixels, or density in units of flux per square pixel."""
-        return flux * self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
+        return flux * self._surface.value(*_distances(x, y, x_0, y_0))
 
     def fit_deriv(self, x, y, flux, x_0, y_0, *others):
         """Derivatives with respect to the parameters, in their order."""
-        offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
-        unit, *parts = self.unit_derivatives(*offsets, *others)
+        unit, *parts = self.unit_derivatives(*_distances(x, y, x_0, y_0), *others)
         return [unit, *(flux * part for part in parts)]
 
     def bounding_box(self):
@@ -170,8 +169,10 @@ class _Table(StarModel):
         return tuple(box)
 
 
-def _number(value):
-    return np.asarray(pixels_of(value), dtype=float)
+def _distances(x, y, x_0, y_0):
+    """Offsets from the star along x and y, pixels, where any may have the unit or not."""
+    x, y, x_0, y_0 = (np.asarray(pixels_of(v), dtype=float) for v in (x, y, x_0, y_0))
+    return x - x_0, y - y_0
 
 
 def _checked_samples(name, array):
@@ -236,7 +237,7 @@ class TabulatedPSF(_Table):
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
     def closed_form(self, values):
-        """Return the integrals over pixels, exact for the spline, for `integrate_pixels`."""
+        """Return the integrals over pixels in closed form."""
         names = ("x_0", "y_0")
         place = tuple(pixels_of(values[name]) for name in names)
         return ClosedForm(values["flux"], place, self._surface.integrals, names)
@@ -292,7 +293,7 @@ class TabulatedPRF(_Table):
         if self._error is None:
             raise ValueError("the table has no uncertainty")
         y, x = np.indices(shape)
-        value = self._error.value(x - _number(self.x_0.value), y - _number(self.y_0.value))
+        value = self._error.value(x - self.x_0.value, y - self.y_0.value)
         return float(self.flux.value) * np.maximum(value, 0.0)
 
     @classmethod
@@ -341,7 +342,6 @@ class TabulatedPRF(_Table):
 
 
 def integer_oversampling(oversampling):
-    """Return the oversampling as integers, which photutils needs."""
     if any(value != round(value) for value in oversampling):
         raise ValueError(f"photutils needs an integer `oversampling`, got {oversampling}")
     return tuple(round(value) for value in oversampling)
@@ -434,8 +434,7 @@ class CorrectedPRF(TabulatedPRF):
 
     def evaluate(self, x, y, flux, x_0, y_0, *coefficients):
         """Flux in the pixels."""
-        offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
-        return flux * self.unit_derivatives(*offsets, *coefficients)[0]
+        return flux * self.unit_derivatives(*_distances(x, y, x_0, y_0), *coefficients)[0]
 
     def corrected_table(self):
         """Return a plain table of the corrected PRF.
