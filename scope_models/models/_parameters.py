@@ -1,7 +1,5 @@
 """Parameters of models: made per instance, and checked where they enter."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
@@ -10,7 +8,7 @@ from astropy.units import UnitsError
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
-    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_coefficients",
+    "StarModel", "check_domain", "check_model_parameters", "gaussian_box", "make_coefficients",
     "make_parameters", "numbers_of", "value_of",
 ]  # fmt: skip
 
@@ -58,20 +56,22 @@ class StarModel(Fittable2DModel):
 
 
 def make_parameters(model, parameters):
-    """Give a model own parameters, or their descriptions, by name, before its ``__init__``."""
-    model.param_names = tuple(dict.fromkeys((*model.param_names, *parameters)))
-    for name, given in parameters.items():
-        plain = isinstance(given, str)
-        parameter = Parameter(name, default=0.0, description=given) if plain else given
+    """Give a model own parameters before its ``__init__``."""
+    for parameter in parameters:
         parameter.model = model
-        model.__dict__[name] = parameter
+        model.__dict__[parameter.name] = parameter
+    names = (parameter.name for parameter in parameters)
+    model.param_names = tuple(dict.fromkeys((*model.param_names, *names)))
 
 
 def make_coefficients(model, order, function):
     """Give a model the coefficients ``c_k_m`` of orders k + m up to one; return all (k, m)."""
     places = [(n - m, m) for n in range(1, order + 1) for m in range(n + 1)]
     text = f"Coefficient of {function}_{{}} {function}_{{}}"
-    make_parameters(model, {f"c_{k}_{m}": text.format(k, m) for k, m in places})
+    coefficients = [
+        Parameter(f"c_{k}_{m}", default=0.0, description=text.format(k, m)) for k, m in places
+    ]
+    make_parameters(model, coefficients)
     return places
 
 
@@ -99,27 +99,20 @@ _TESTS = {
 }
 
 
-@dataclass(frozen=True)
-class Domain:
-    """Validator of a parameter, which can be pickled."""
-
-    name: str
-    condition: str
-
-    def __call__(self, _model, value):
-        """Raise where a value lies outside the domain; the model is not used."""
-        value = np.asarray(without_unit(value), dtype=float)
-        wrong = ~_TESTS[self.condition](value)
-        if np.any(wrong):
-            raise ValueError(f"`{self.name}` must be {self.condition}, got {value[wrong].flat[0]}")
+def check_domain(name, condition, _model, value):
+    """Raise where a value of a parameter lies outside its domain; the model is not used."""
+    value = np.asarray(without_unit(value), dtype=float)
+    wrong = ~_TESTS[condition](value)
+    if np.any(wrong):
+        raise ValueError(f"`{name}` must be {condition}, got {value[wrong].flat[0]}")
 
 
 def check_model_parameters(model):
     """Raise where a parameter of a model is not finite or outside its domain."""
     for name in model.param_names:
         parameter = getattr(model, name)
-        Domain(name, "finite")(model, parameter.value)
+        check_domain(name, "finite", model, parameter.value)
         parameter.validate(parameter.value)
         # photutils sets all parameters to 1 for a moment.
         if getattr(model, "parameter_kinds", {}).get(name) == "correlation":
-            Domain(name, "inside (-1, 1)")(model, parameter.value)
+            check_domain(name, "inside (-1, 1)", model, parameter.value)

@@ -213,11 +213,11 @@ class PRF(StarModel):
             "x_0": value_of(first.x_0) if x_0 is None else x_0,
             "y_0": value_of(first.y_0) if y_0 is None else y_0,
         }
-        parameters = {}
+        parameters = []
 
         def take_over(model, names, **options):
             for own, name in names.items():
-                parameters[name] = _like(getattr(model, own), name, **options)
+                parameters.append(_like(getattr(model, own), name, **options))
                 values.setdefault(name, value_of(getattr(model, own)))
 
         if len(terms) == 1:
@@ -226,11 +226,11 @@ class PRF(StarModel):
             take_over(component.model, component.shape)
             if part := component.fraction:
                 text = f"Part of the flux in component {k}"
-                parameters[part] = Parameter(part, bounds=(0.0, 1.0), description=text)
+                parameters.append(Parameter(part, bounds=(0.0, 1.0), description=text))
                 values[part] = float(fluxes[k] / total)
             for axis, name in component.offsets.items():
                 text = f"{axis[0]} of component {k} less {axis}"
-                parameters[name] = Parameter(name, fixed=True, description=text)
+                parameters.append(Parameter(name, fixed=True, description=text))
                 place, star = (value_of(getattr(m, axis)) for m in (component.model, first))
                 values[name] = place - star
         for response in self._responses:

@@ -20,8 +20,8 @@ from scope_models.models._gaussian import (
     slope_pairs,
 )
 from scope_models.models._parameters import (
-    Domain,
     StarModel,
+    check_domain,
     check_model_parameters,
     gaussian_box,
     make_coefficients,
@@ -44,7 +44,7 @@ def _width(axis):
     """Return the parameter of a width."""
     text = f"Standard deviation along {axis} (pixel)"
     parameter = Parameter(default=0.5, bounds=(_LEAST_WIDTH, None), description=text)
-    return parameter.validator(Domain(f"sigma_{axis}", "positive"))
+    return parameter.validator(partial(check_domain, f"sigma_{axis}", "positive"))
 
 
 class BivariateGaussianPSF(StarModel):
@@ -95,7 +95,7 @@ class BivariateGaussianPSF(StarModel):
 
     sigma_x, sigma_y = _width("x"), _width("y")
     rho = Parameter(description="Correlation coefficient", default=0.0, bounds=_RHO)
-    rho.validator(Domain("rho", "from -1 to 1"))
+    rho.validator(partial(check_domain, "rho", "from -1 to 1"))
 
     #: Kinds of the parameters in a fit.
     parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
@@ -377,17 +377,19 @@ class SensitivityPolynomial(Fittable2DModel):
     """
 
     def __init__(self, x_coefficients=(1, 0, -0.05), y_coefficients=(1, 0, -0.05), **kwargs):
-        values, texts = {}, {}
+        values, parameters = {}, []
         for axis, offset, given in (("x", "u", x_coefficients), ("y", "v", y_coefficients)):
             name = f"{axis}_coefficients"
             row = plain_array(given, u.one, name)
             if row.ndim != 1 or row.size == 0:
                 wanted = "a sequence of at least one number"
                 raise ValueError(f"`{name}` must be {wanted}, got shape {row.shape}")
-            values |= {f"a{axis}{n}": value for n, value in enumerate(row)}
-            texts |= {f"a{axis}{n}": f"Coefficient of {offset}^{n}" for n in range(row.size)}
+            for n, value in enumerate(row):
+                text = f"Coefficient of {offset}^{n}"
+                parameters.append(Parameter(f"a{axis}{n}", description=text))
+                values[f"a{axis}{n}"] = value
         self._n_x = len(values) - row.size
-        make_parameters(self, texts)
+        make_parameters(self, parameters)
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
 
@@ -469,7 +471,7 @@ class DiffusionSensitivity(Fittable2DModel):
     sigma_d = Parameter(
         default=0.1, bounds=(0.0, None), description="Standard deviation of the diffusion (pixel)"
     )
-    sigma_d.validator(Domain("sigma_d", "at least 0"))
+    sigma_d.validator(partial(check_domain, "sigma_d", "at least 0"))
 
     def __init__(self, sigma_d=sigma_d.default, **kwargs):
         super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)

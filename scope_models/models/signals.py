@@ -3,6 +3,8 @@
 A signal is 1 where nothing happens, or has the mean 1.
 """
 
+from functools import partial
+
 import astropy.units as u
 import numpy as np
 from astropy import constants
@@ -17,7 +19,7 @@ from scipy.signal import savgol_coeffs
 from scope_models._arrays import LARGEST_DAY, plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
-from scope_models.models._parameters import Domain, check_model_parameters, value_of
+from scope_models.models._parameters import check_domain, check_model_parameters, value_of
 
 __all__ = ["TransitModel", "sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
@@ -92,10 +94,10 @@ class TransitModel(Fittable1DModel):
     omega = Parameter(default=90.0, description="argument of periastron in degrees")
     u1 = Parameter(default=0.3, description="linear limb-darkening coefficient")
     u2 = Parameter(default=0.2, description="quadratic limb-darkening coefficient")
-    period.validator(Domain("period", "positive"))
-    rp.validator(Domain("rp", "at least 0"))
-    a.validator(Domain("a", "positive"))
-    ecc.validator(Domain("ecc", "at least 0 and below 1"))
+    period.validator(partial(check_domain, "period", "positive"))
+    rp.validator(partial(check_domain, "rp", "at least 0"))
+    a.validator(partial(check_domain, "a", "positive"))
+    ecc.validator(partial(check_domain, "ecc", "at least 0 and below 1"))
 
     _input_units_allow_dimensionless = True
 
