@@ -32,7 +32,7 @@ _MOVES = dict.fromkeys(("pm_ra_cosdec", "pm_dec"), u.mas / u.yr)
 
 
 def describe_model(model):
-    """Return a model as the names of its classes and the values of its parameters."""
+    """Return a model as names of classes and values of parameters."""
     if model is None:
         return None
     if isinstance(model, CompoundModel):
@@ -80,7 +80,7 @@ def make_coord(described):
 
 
 def check_coord(coord):
-    """Check that a coordinate is one place on the sky, with an epoch if it moves."""
+    """Check that a coordinate is one place, with an epoch if it moves."""
     if not isinstance(coord, SkyCoord) or not coord.isscalar:
         raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
     try:

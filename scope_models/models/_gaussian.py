@@ -10,9 +10,9 @@ Stegun 22.9.3 with 26.2.31)
 
 where ``z = (x - x_0) / sigma`` and ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists'
 Hermite polynomials, of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``. Each term integrates in closed
-form along each axis; with rho = 0 the first term is all. Derivatives by position and width are
-integrals of the same family. Where ``|rho|`` is so large that the series is long, a Gauss-Legendre
-rule along x of closed forms along y takes its place.
+form along each axis. Derivatives by position and width are integrals of the same family. Where
+``|rho|`` is so large that the series is long, a Gauss-Legendre rule along x of closed forms along y
+takes its place.
 """
 
 from functools import cache, lru_cache, partial
@@ -37,7 +37,7 @@ REACH = 8.5
 _MAX_GROWTH = 1e5
 # Chebyshev coefficients, as part of the total flux, below which an interpolation is cut.
 _CHEBYSHEV_TOLERANCE = 1e-14
-# So few positions are never interpolated: each is then independent of the others to the last bit.
+# So few positions are never interpolated: each is independent of the others to the last bit.
 FEW = 100
 # Rows per matrix product of a panel: with equal shapes, products are equal to the last bit.
 ROWS = 16
@@ -290,12 +290,12 @@ def series_step(n_terms, x, y):
 def slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh):
     """Tables along y and x whose products are an image, and its slopes by position and widths.
 
-    ``weigh`` multiplies a table along y by the coefficients. The tables hold two orders more.
+    ``weigh`` multiplies a table along y by the coefficients. Tables hold two orders more.
     """
     order = np.arange(x_table.shape[-2] - 2.0)[:, np.newaxis]
 
     def changes(table, sigma):
-        """Return a table's orders but the last two, and their slopes by position and width."""
+        """Return all orders but two, and their slopes by position and width."""
         base, up, two_up = table[..., :-2, :], table[..., 1:-1, :], table[..., 2:, :]
         moved = np.sqrt(order + 1) * up / sigma
         widened = order * base + np.sqrt((order + 1) * (order + 2)) * two_up
@@ -351,7 +351,7 @@ def _line_images(x, y, parameters, coefficients, out):
     """Apply a Gauss-Legendre rule along x to closed forms along y: one image, or six.
 
     There the density along y is normal, with the mean ``y_0 + rho sigma_y z_x`` and the width
-    ``sigma_y sqrt(1 - rho^2)``. Narrow densities have several panels in a pixel.
+    ``sigma_y sqrt(1 - rho^2)``.
     """
     x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
     nodes, weights = _line_nodes(sigma_x, rho, coefficients[0].size - 1)

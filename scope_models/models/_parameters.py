@@ -14,7 +14,7 @@ __all__ = [
 
 
 class StarModel(Fittable2DModel):
-    """A star: its flux and position, and the units that follow from those of the position."""
+    """A star: its flux and position, and their units."""
 
     flux = Parameter(default=1.0, description="Flux of the star")
     x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
@@ -29,7 +29,7 @@ class StarModel(Fittable2DModel):
         self._check_units()
 
     def _check_units(self):
-        """Raise where a unit cannot be: lengths are pixels or angles, all but the flux has none."""
+        """Raise unless lengths are pixels or angles, and others but the flux have no unit."""
         for name in self.param_names[1:]:
             parameter, is_length = getattr(self, name), name in self._lengths
             if parameter.unit is not None and not (is_length and is_angle(parameter.unit)):
@@ -65,7 +65,7 @@ def make_parameters(model, parameters):
 
 
 def make_coefficients(model, order, function):
-    """Give a model the coefficients ``c_k_m`` of orders k + m up to one; return all (k, m)."""
+    """Give a model the coefficients ``c_k_m`` up to an order k + m; return all (k, m)."""
     places = [(n - m, m) for n in range(1, order + 1) for m in range(n + 1)]
     text = f"Coefficient of {function}_{{}} {function}_{{}}"
     coefficients = [
@@ -84,7 +84,7 @@ def numbers_of(model):
 
 
 def gaussian_box(model, factor):
-    """Rectangle of a half-width of so many sigma_x and sigma_y, as astropy orders it."""
+    """Rectangle of a half-width of so many sigma_x and sigma_y."""
     d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
     return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
 

@@ -22,7 +22,7 @@ from scope_models.models.integration import (
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
-# Up to this number of positions are integrated one by one, more are interpolated.
+# Up to this number of positions are not interpolated.
 _BATCH = FEW - 4
 # Standard deviations beyond which a normal density holds less than 1e-13 of its light.
 _DARK = 7.5
@@ -43,7 +43,7 @@ class ImageSeries:
         self._psf, self._stamp = psf, shape
         parts = _components(psf, sensitivity)
         self.window = _window(parts, shape, x, y, 1.0 if widths is None else np.max(widths), blur)
-        # How far from the star all but the dark part of its light is.
+        # Of all but the dark part of the light.
         self._reach = max(
             math.inf
             if gaussian is None
@@ -78,7 +78,7 @@ class ImageSeries:
 
 
 def is_gaussian(psf, sensitivity):
-    """Whether PSF times sensitivity is bivariate normal times polynomials, which can be blurred."""
+    """Whether PSF times sensitivity can be blurred: it is bivariate normal times polynomials."""
     return all(part[-1] is not None for part in _components(psf, sensitivity))
 
 
@@ -101,7 +101,7 @@ def _rendered(engine, shape, x, y, widths=None):
 
 
 def _components(psf, sensitivity=None):
-    """Return fraction, offset, unit product and the Gaussian of each component and response."""
+    """Return fraction, offset, unit product and Gaussian of each component and response."""
     terms = [term for term in expand(psf) if np.any(term.scale)]
     responses = [Term()] if sensitivity is None else expand(sensitivity)
     values = [{n: without_unit(v) for n, v in t.densities[0].values.items()} for t in terms]

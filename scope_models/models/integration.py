@@ -33,8 +33,7 @@ _WIDTHS = dict.fromkeys(("sigma", "sigma_x", "sigma_y", "x_stddev", "y_stddev"),
 _WIDTHS |= dict.fromkeys(("fwhm", "x_fwhm", "y_fwhm"), _FWHM)
 _WIDTHS |= {"gamma": 1.0, "alpha": 1.0, "radius": 3.0, "r_eff": 1.0}
 _SCALE_OF_OTHERS = 0.3
-# Pixels, in place of no diffusion: so small that each pixel is a box, and squares of quotients are
-# finite.
+# Pixels, in place of no diffusion: squares of quotients are finite.
 _LEAST_DIFFUSION = 1e-100
 # Standard deviations of the diffusion beyond which no charge of a pixel comes from.
 _DIFFUSION_REACH = 7.0
@@ -129,7 +128,7 @@ def _is_photutils(model):
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A model with the numbers ``(n,)`` or quantities, by parameter, to evaluate it with."""
+    """A model with the numbers ``(n,)`` or quantities of its parameters."""
 
     model: object
     values: dict
@@ -152,7 +151,7 @@ class Factor:
 
     @property
     def size(self):
-        """Number of values per parameter: () for one, (n,) for n."""
+        """Number of values per parameter: () or (n,)."""
         return np.broadcast_shapes(*(np.shape(v) for v in self.values.values()))
 
     @property
@@ -166,10 +165,9 @@ class Factor:
         return max(float(min(widths) * np.sqrt(1 - rho**2)), 1e-3)
 
     def evaluate(self, x, y, index):
-        """Value of the model at positions ``(m, ...)`` in pixels.
+        """Value at positions ``(m, ...)`` in pixels, for the m values of parameters at ``index``.
 
-        ``index`` chooses the value of each parameter that belongs to each of the m entries. A unit
-        is that of the density times square pixels.
+        A unit is that of the density times square pixels.
         """
         shape = (-1,) + (1,) * (np.ndim(x) - 1)
         values = [v if np.ndim(v) == 0 else v[index].reshape(shape) for v in self.values.values()]
@@ -206,7 +204,7 @@ class Term:
 
     @property
     def diffusion(self):
-        """Standard deviation along each axis with which charge diffuses, pixels; 0 for none."""
+        """Standard deviation along each axis with which charge diffuses, pixels."""
         sigmas = [f.values["sigma_d"] for f in self.sensitivities if "sigma_d" in f.values]
         return math.hypot(*(np.ravel(pixels_of(s))[0] for s in sigmas))
 
@@ -231,7 +229,7 @@ def is_pixel_integrated(model):
 
 
 def expand(model):
-    """The terms whose sum a model is; operators but ``+``, ``-`` and ``*`` are left whole."""
+    """The terms whose sum a model is; other operators are left whole."""
     if isinstance(model, CompoundModel):
         if model.op == "+":
             return expand(model.left) + expand(model.right)
@@ -266,10 +264,9 @@ class PixelPoints:
         self.columns, column = np.unique(self.x, return_inverse=True)
         self.rows, row = np.unique(self.y, return_inverse=True)
         size = self.columns.size * self.rows.size
-        # Points that are scattered rather than on a grid are better done one by one.
+        # Scattered points are better done one by one.
         self.on_grid = size <= 4 * self.x.size
         place = row * self.columns.size + column
-        # No copy is made where the points are the whole grid, in order.
         whole = size == place.size and np.all(place == np.arange(size))
         self.place = slice(None) if whole else place
 
@@ -309,10 +306,9 @@ def _spread(number, points):
 
 
 def integrate_density(term, points, evaluate=None):
-    """Integrate the product of a term's factors, without its scale, over pixels by quadrature.
+    """Integrate a term without its scale by quadrature: ``(..., *points.shape)``.
 
-    ``evaluate(x, y, index)`` may take the place of the product of the densities. The images have
-    the shape ``(..., *points.shape)``.
+    ``evaluate(x, y, index)`` may take the place of the product of the densities.
     """
     along_x, along_y = term.polynomials()
     lead = np.broadcast_shapes(*(factor.size for factor in term.densities), ())
@@ -413,14 +409,13 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     Parameters
     ----------
     model : `~astropy.modeling.Model`
-        Model of two inputs and one output. Models whose values are fluxes of pixels already
-        (`~scope_models.PRF`, photutils' PRFs) are evaluated at the pixels' centers. Parameters of
-        shape ``(n,)`` give ``n`` images.
+        Model of two inputs and one output. Fluxes of pixels (`~scope_models.PRF`, photutils' PRFs)
+        are evaluated at the pixels' centers. Parameters of shape ``(n,)`` give ``n`` images.
     shape : tuple of int, optional
         Shape (ny, nx) of an image whose pixels are all integrated.
     x, y : array_like, optional
-        Columns and rows of the pixels instead, which broadcast. A number that is not an integer
-        stands for the unit square around it, with the response of a pixel centered there.
+        Columns and rows of the pixels instead, which broadcast; off the integers, of unit squares
+        with the response of a pixel centered there.
     method : {"auto", "analytic", "quadrature"}, optional
         "analytic" raises where there is no closed form, "quadrature" uses none.
 
@@ -442,7 +437,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     Warns
     -----
     IntegrationWarning
-        Where the quadrature has not converged because the model is not smooth.
+        Where the quadrature has not converged.
 
     Examples
     --------

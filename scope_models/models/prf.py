@@ -26,7 +26,7 @@ from scope_models.models.tables import PRFGrid, TabulatedPRF
 __all__ = ["PRF"]
 
 _POSITION = ("flux", "x_0", "y_0")
-# Step of central differences for densities without a closed form, relative or absolute.
+# Step of central differences, relative or absolute.
 _STEP = 1e-4
 
 
@@ -65,7 +65,7 @@ class _Component:
         return {name: np.asarray(own[name]) for name in self.model.param_names}
 
     def at(self, values, flux):
-        """The density or table with its parameters at values of the PRF's."""
+        """The density or table at values of the PRF's parameters."""
         model = self.model.copy()
         model.parameters = [float(value) for value in self.own_values(values, flux).values()]
         return model
@@ -174,8 +174,8 @@ class PRF(StarModel):
     sensitivity and the offsets are fixed until, for example, ``prf.ax2.fixed = False``: a single
     image hardly separates them from position, flux and width.
 
-    Evaluated at positions that are not integers, the model gives the flux in the unit square
-    around them, with the response of a pixel centered there, as photutils' PRFs do.
+    Off the integers the model gives the flux in the unit square around a position, with the
+    response of a pixel centered there, as photutils' PRFs do.
 
     References
     ----------
@@ -361,7 +361,7 @@ class PRF(StarModel):
         return total
 
     def evaluate(self, x, y, *parameters):
-        """Flux in the pixels at columns x and rows y, with which arrays of parameters broadcast."""
+        """Flux in pixels at columns x and rows y, with which arrays of parameters broadcast."""
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
@@ -386,7 +386,7 @@ class PRF(StarModel):
         return [image, *(values["flux"] * derivatives[name] for name in self.param_names[1:])]
 
     def _unit_derivatives(self, points, values):
-        """Images of unit flux, and their derivatives by parameter, without the flux."""
+        """Images of unit flux, and their derivatives by parameter but the flux."""
         total, derivatives, first = 0.0, {}, None
         for component, fraction in self._parts(values):
             image, own = component.derivatives(points, values)
@@ -402,14 +402,14 @@ class PRF(StarModel):
         return total, derivatives
 
     def unit_images(self, shape, x_0=None, y_0=None, *, values=None, derivatives=False):
-        """Draw images of a star of unit flux, and their derivatives.
+        """Draw images of a star of unit flux.
 
         Parameters
         ----------
         shape : tuple of int
             Shape (ny, nx) of an image.
         x_0, y_0 : float or array_like, optional
-            Column and row in pixels, numbers or of shape ``(n,)``; by default the model's.
+            Column and row in pixels, numbers or ``(n,)``; by default the model's.
         values : dict, optional
             Numbers in place of the model's parameters, by name.
         derivatives : bool, optional
@@ -491,7 +491,7 @@ class PRF(StarModel):
         return images if unit is None else images * unit
 
     def bounding_box(self):
-        """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the pixels that the star reaches."""
+        """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the star's pixels."""
         values = self._own_or()
         boxes = [c.at(values, 1.0).bounding_box.bounding_box() for c in self._components]
         half = 0.5 * u.pixel if isinstance(boxes[0][0][0], u.Quantity) else 0.5
@@ -525,7 +525,7 @@ def _like(source, name, *, fixed=None):
 
 
 def _parts_of(terms):
-    """The components and the sensitivities of a compound, with names for their parameters."""
+    """The components and the sensitivities of a compound."""
     factors = [factor for term in terms for factor in term.sensitivities]
     models = list({id(factor.model): factor.model for factor in factors}.values())
     responses = {}

@@ -21,10 +21,10 @@ from scope_models.models.integration import ClosedForm, pixels_of
 
 __all__ = ["CorrectedPRF", "PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
-# A Gaussian PRF of sigma 0.5 px at 9 samples per pixel is interpolated to 0.005 ppm of its flux by
-# degree 5, to 1.2 ppm by degree 3 and to 700 ppm by degree 1 (rms in 3 x 3 px).
+# Errors of a Gaussian PRF of sigma 0.5 px at 9 samples per pixel, rms in 3 x 3 px: 0.005 ppm of its
+# flux for the degree 5, 1.2 ppm for 3.
 _DEGREE = 5
-# Positions whose integrals along an axis are held at once.
+# Positions that are integrated at once.
 _BATCH = 128
 # Rounding errors at the edge of a table, pixels.
 _EDGE = 1e-9
@@ -39,7 +39,7 @@ class _Surface:
         self.samples, self.oversampling, self.origin = samples, oversampling, origin
         self.samples.flags.writeable = False
         along = zip(samples.shape[::-1], origin, oversampling[::-1], strict=True)
-        # Of the samples from the star along x and y, pixels.
+        # Of the samples from the star, pixels.
         self.offsets = tuple((np.arange(n) - start) / step for n, start, step in along)
 
     def __deepcopy__(self, memo):
@@ -79,10 +79,9 @@ class _Surface:
 
 
 def _basis_integrals(knots, pixels, polynomial, order):
-    """Integrals of a spline's basis, or its derivatives, times a polynomial: ``(m, n, k)``.
+    """Integrals of a spline's basis, or its derivatives, times a polynomial over pixels.
 
-    By parts: the basis is integrated, and the polynomial, over pixels of these centers ``(m, n)``,
-    differentiated.
+    By parts, over pixels of centers ``(m, n)`` from the star: ``(m, n, k)``.
     """
     polynomial, integrals = np.atleast_1d(polynomial), 0.0
     edges = np.clip(np.stack([pixels - 0.5, pixels + 0.5]), knots[0], knots[-1])
@@ -217,8 +216,8 @@ class TabulatedPSF(_Table):
     Parameters
     ----------
     array : array_like of shape (ny, nx)
-        Density of a star of unit flux, per square pixel. Nothing is renormalized: for a total
-        flux of 1 the sum of the samples is the product of the oversamplings.
+        Density of a star of unit flux, per square pixel: the sum of the samples is the product of
+        the oversamplings. Nothing is renormalized.
     {rest}
 
     Examples
@@ -303,7 +302,7 @@ class TabulatedPRF(_Table):
         Parameters
         ----------
         model : `~photutils.psf.ImagePSF`
-            The model; for a `~photutils.psf.GriddedPSFModel` see `PRFGrid.from_photutils`.
+            The model.
 
         Returns
         -------
@@ -374,7 +373,7 @@ class CorrectedPRF(TabulatedPRF):
     Raises
     ------
     ValueError
-        If an argument is outside its domain, as for `~scope_models.models.TabulatedPRF`.
+        As for `~scope_models.models.TabulatedPRF`.
 
     Examples
     --------
@@ -442,7 +441,7 @@ class CorrectedPRF(TabulatedPRF):
         Returns
         -------
         table : TabulatedPRF
-            With the correction in its samples.
+            The table.
         """
         values = self.parameters[:3]
         return TabulatedPRF(self._fluxes, self.oversampling, *values, origin=self.origin)
