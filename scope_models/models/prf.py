@@ -179,8 +179,7 @@ class PRF(StarModel):
 
     References
     ----------
-    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
-    Characterization with Pixel Level De-correlation", equation 1.
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 1.
 
     Examples
     --------

@@ -36,7 +36,7 @@ __all__ = [
 
 _LEAST_WIDTH = float(np.finfo(np.float32).tiny)
 _RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
-# Components of a Moffat PSF with less of its flux are left out.
+# Of the flux, in a component of a Moffat PSF.
 _LEAST_FRACTION = 1e-5
 
 
@@ -82,8 +82,7 @@ class BivariateGaussianPSF(StarModel):
 
     References
     ----------
-    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
-    Characterization with Pixel Level De-correlation", equation 3 (corrected).
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 3 (corrected).
 
     Examples
     --------
@@ -141,7 +140,7 @@ class BivariateGaussianPSF(StarModel):
         return ClosedForm(values["flux"], parameters, gaussian_pixels, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
-        """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
+        """Rectangle outside which less than 2e-10 of the flux lies."""
         return gaussian_box(self, factor)
 
 
@@ -156,8 +155,8 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
         \frac{1}{\Gamma(\beta)} \int_0^\infty t^{\beta - 1} e^{-t (1 + r^2 / \alpha^2)}\, dt ,
         \qquad \mathrm{FWHM} = 2 \alpha \sqrt{2^{1 / \beta} - 1} ,
 
-    and Gauss-Laguerre quadrature makes a sum of it. By default the flux within one FWHM of the star
-    is right to 1e-5, and 0.1 percent of all flux is in another place, most of it beyond three FWHM.
+    and Gauss-Laguerre quadrature makes a sum of it. By default the flux within one FWHM is right to
+    1e-5, and 0.1 percent of all is in another place, most beyond three FWHM.
     ``photutils.psf.MoffatPSF`` is the exact function.
 
     Parameters
@@ -165,8 +164,7 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
     fwhm : float or `~astropy.units.Quantity`
         Full width at half maximum in pixels.
     beta : float, optional
-        Exponent, above 1. The default is that of turbulence (Trujillo et al. 2001); real images
-        often have 2.5 to 4.
+        Exponent, above 1. The default is that of turbulence; real images often have 2.5 to 4.
     n_components : int, optional
         Nodes of the quadrature; those with less than 1e-5 of the flux are left out.
 
@@ -182,7 +180,7 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
 
     References
     ----------
-    Trujillo, I. et al. 2001, MNRAS 328, 977.
+    Trujillo et al. 2001, MNRAS 328, 977.
 
     Examples
     --------
@@ -301,7 +299,7 @@ class GaussHermitePSF(StarModel):
     def _integrals(
         self, matrix, x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y, *, derivatives=False
     ):
-        """Integrate the density of unit flux, and its derivatives, over pixels."""
+        """Integrals of the density of unit flux, and their derivatives."""
         shape, flat = flattened((x_0, y_0, sigma_x, sigma_y))
         images = np.empty(
             (len(self.param_names) if derivatives else 1, flat[0].size, y.size, x.size)
@@ -328,7 +326,7 @@ class GaussHermitePSF(StarModel):
         return ClosedForm(values["flux"], parameters, integrals, self.param_names[1:])
 
     def bounding_box(self, factor=6.5):
-        """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
+        """Rectangle outside which hardly any flux lies."""
         return gaussian_box(self, factor + np.sqrt(self.order))
 
 
@@ -350,9 +348,9 @@ class SensitivityPolynomial(Fittable2DModel):
     Parameters
     ----------
     x_coefficients, y_coefficients : sequence of float, optional
-        Coefficients along the column and along the row, the constants first; any number, one at
-        least. They become the parameters ``ax0, ax1, ...`` and ``ay0, ay1, ...``. The defaults,
-        the paper's, lose 2.48 % from the center to the corner of a pixel.
+        Coefficients along the column and along the row, the constants first, which become the
+        parameters ``ax0, ax1, ...`` and ``ay0, ay1, ...``. The defaults, the paper's, lose 2.48 %
+        from the center to the corner of a pixel.
     **kwargs
         Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
 
@@ -363,8 +361,7 @@ class SensitivityPolynomial(Fittable2DModel):
 
     References
     ----------
-    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
-    Characterization with Pixel Level De-correlation", equation 2.
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 2.
 
     Examples
     --------
@@ -405,7 +402,7 @@ class SensitivityPolynomial(Fittable2DModel):
 
     @property
     def powers(self):
-        """Axis ("x" or "y") and power of the coefficients by name (dict of str to tuple)."""
+        """Axis ("x" or "y") and power of each coefficient, by name (dict)."""
         return {name: (name[1], int(name[2:])) for name in self.param_names}
 
     def evaluate(self, x, y, *coefficients):
@@ -477,7 +474,7 @@ class DiffusionSensitivity(Fittable2DModel):
         super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)
         check_model_parameters(self)
 
-    #: The response is not a polynomial: it has no powers.
+    #: The response is not a polynomial.
     powers: ClassVar = {}
 
     #: Kind of the parameter in a fit.

@@ -4,6 +4,7 @@ A signal is 1 where nothing happens, or has the mean 1.
 """
 
 from functools import partial
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -25,11 +26,10 @@ __all__ = ["TransitModel", "sinusoidal_signal", "stochastic_signal", "tabulated_
 
 # Gauss-Legendre nodes over an exposure.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(101)
-_ORBIT = ("period", "a", "inc", "ecc", "omega")
 _DENSITY = u.g / u.cm**3
 _UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 _PPM = u.Unit(1e-6)
-# Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
+# Savitzky-Golay filter of lightkurve's CDPP: span (101 long cadences) and order.
 _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
 
@@ -38,8 +38,8 @@ class TransitModel(Fittable1DModel):
 
     The star is a disc with quadratic limb darkening,
     :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque disc on a Keplerian
-    orbit. The drop is exact for overlapping discs (exoplanet-core [1]_); its average over the
-    exposure, by 101 nodes, is within 1 ppm for drops up to 2.5 % and exposures up to an hour.
+    orbit. The drop is exact (exoplanet-core [1]_); its average over the exposure, by 101 nodes, is
+    within 1 ppm for drops up to 2.5 % and exposures up to an hour.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class TransitModel(Fittable1DModel):
 
     @property
     def arguments(self):
-        """Arguments of an equal model, without its parameters (dict)."""
+        """Arguments of an equal model (dict)."""
         return {"exposure_time": self.exposure_time}
 
     def __call__(self, *args, **kwargs):
@@ -123,20 +123,23 @@ class TransitModel(Fittable1DModel):
             raise TypeError("times must be days with the zero of `t0`, as `time.value`, got a Time")
         return super().__call__(*args, **kwargs)
 
-    def _in_units(self):
-        """Return all parameters as `_number` does."""
-        return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}
+    def _in_units(self, *values):
+        """Return the parameters, or values of them, as numbers in their documented units."""
+        values = values or [value_of(getattr(self, name)) for name in self.param_names]
+        given = zip(self.param_names, values, strict=True)
+        plain = {name: plain_array(v, _UNITS.get(name, u.one), name).item() for name, v in given}
+        return SimpleNamespace(**plain)
 
     @classmethod
     def from_depth_duration(
         cls, depth, duration, period, t0=0.0, *, b=0.0, u1=0.3, u2=0.2, exposure_time=0.0
     ):
-        """Make a transit on a circular orbit from what is seen of it.
+        """Make a transit on a circular orbit.
 
         Parameters
         ----------
         depth : float or `~astropy.units.Quantity`
-            Relative drop at mid-transit for a short exposure, between 0 and 1.
+            Relative drop at mid-transit, limb darkened and for a short exposure, between 0 and 1.
         duration, period : float or `~astropy.units.Quantity`
             Time from first to fourth contact, and orbital period, in days.
         t0 : float or `~astropy.units.Quantity`, optional
@@ -254,28 +257,28 @@ class TransitModel(Fittable1DModel):
     def impact_parameter(self):
         """Distance of the centers at `t0`, in stellar radii."""
         p = self._in_units()
-        cosine, sine = np.cos(np.radians(p["inc"])), np.sin(np.radians(p["omega"]))
-        return float(p["a"] * cosine * (1 - p["ecc"] ** 2) / (1 + p["ecc"] * sine))
+        cosine, sine = np.cos(np.radians(p.inc)), np.sin(np.radians(p.omega))
+        return float(p.a * cosine * (1 - p.ecc**2) / (1 + p.ecc * sine))
 
     @property
     def depth(self):
         """Relative drop at `t0` for a short exposure."""
         p = self._in_units()
-        return float(-_drop(abs(self.impact_parameter), p["rp"], p["u1"], p["u2"]))
+        return float(-_drop(abs(self.impact_parameter), p.rp, p.u1, p.u2))
 
     @property
     def duration(self):
         """Time from first to fourth contact in days, 0 without a transit."""
         p = self._in_units()
-        orbit, reach = [p[name] for name in _ORBIT], 1 + p["rp"]
+        reach = 1 + p.rp
 
         def beyond(time):
-            return _separation(np.array([time]), *orbit)[0] - reach
+            return _separation(np.array([time]), p)[0] - reach
 
         if not beyond(0.0) < 0:
             return 0.0
         contacts = []
-        for step in np.array([-1, 1]) * reach / _fastest(p["period"], p["a"], p["ecc"]):
+        for step in np.array([-1, 1]) * reach / _fastest(p):
             end = step
             while beyond(end) < 0:
                 end += step
@@ -286,7 +289,7 @@ class TransitModel(Fittable1DModel):
     def stellar_density(self):
         """Mean density of the star in g/cm3 that the period and `a` imply."""
         p = self._in_units()
-        density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
+        density = 3 * np.pi * p.a**3 / (constants.G * (p.period * u.day) ** 2)
         return float(density.to_value(_DENSITY))
 
     @property
@@ -299,22 +302,20 @@ class TransitModel(Fittable1DModel):
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
         """Relative flux at times of mid-exposure in days, of any shape."""
-        given = zip(self.param_names, (period, t0, rp, a, inc, ecc, omega, u1, u2), strict=True)
-        p = {name: _number(name, value) for name, value in given}
-        _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
+        p = self._in_units(period, t0, rp, a, inc, ecc, omega, u1, u2)
+        _require(p.rp >= 0, "rp", "at least 0", p.rp)  # also where `rp.value` was set
         x = plain_array(x, u.day, "x")
-        if p["t0"] > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
-            raise ValueError(f"`t0` must have the zero of the times, got the date {p['t0']:.1f}")
-        orbit = [p[name] for name in _ORBIT]
-        time = x.ravel() - p["t0"]
+        if p.t0 > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
+            raise ValueError(f"`t0` must have the zero of the times, got the date {p.t0:.1f}")
+        time = x.ravel() - p.t0
         flux = np.where(np.isfinite(time), 1.0, np.nan)
         # The planet cannot move farther within half an exposure.
-        travel = _fastest(p["period"], p["a"], p["ecc"]) * self.exposure_time / 2
-        near = np.flatnonzero(_separation(time, *orbit, margin=travel) < 1 + p["rp"] + travel)
+        travel = _fastest(p) * self.exposure_time / 2
+        near = np.flatnonzero(_separation(time, p, margin=travel) < 1 + p.rp + travel)
         if near.size:
             nodes, weights = (_NODES, _WEIGHTS) if self.exposure_time > 0 else np.array([[0], [2]])
             inner = time[near, np.newaxis] + self.exposure_time / 2 * nodes
-            drop = _drop(_separation(inner, *orbit), p["rp"], p["u1"], p["u2"])
+            drop = _drop(_separation(inner, p), p.rp, p.u1, p.u2)
             flux[near] = 1 + drop @ weights / 2
         return flux.reshape(x.shape)
 
@@ -324,27 +325,23 @@ def _require(condition, name, domain, value):
         raise ValueError(f"`{name}` must be {domain}, got {value}")
 
 
-def _number(name, value):
-    """Return a parameter in its documented unit as one plain number."""
-    return plain_array(value, _UNITS.get(name, u.one), name).item()
+def _fastest(orbit):
+    """Speed at periastron in stellar radii per day."""
+    speed = 2 * np.pi * orbit.a / orbit.period
+    return speed * np.sqrt((1 + orbit.ecc) / (1 - orbit.ecc))
 
 
-def _fastest(period, a, ecc):
-    """Highest orbital speed (at periastron) in stellar radii per day."""
-    return 2 * np.pi * a / period * np.sqrt((1 + ecc) / (1 - ecc))
-
-
-def _separation(time, period, a, inc, ecc, omega, margin=0.0):
+def _separation(time, orbit, margin=0.0):
     """Sky distance of the centers, infinite where the planet is behind by more than `margin`.
 
     `time` counts from conjunction; lengths are stellar radii.
     """
-    inc, omega = np.radians(inc), np.radians(omega)
+    ecc, inc, omega = orbit.ecc, np.radians(orbit.inc), np.radians(orbit.omega)
     half = np.pi / 4 - omega / 2
     anomaly = 2 * np.arctan2(np.sqrt(1 - ecc) * np.sin(half), np.sqrt(1 + ecc) * np.cos(half))
-    mean = 2 * np.pi * time / period + anomaly - ecc * np.sin(anomaly)
+    mean = 2 * np.pi * time / orbit.period + anomaly - ecc * np.sin(anomaly)
     sin_f, cos_f = kepler(np.mod(mean + np.pi, 2 * np.pi) - np.pi, ecc)
-    radius = a * (1 - ecc**2) / (1 + ecc * cos_f)
+    radius = orbit.a * (1 - ecc**2) / (1 + ecc * cos_f)
     along = cos_f * np.cos(omega) - sin_f * np.sin(omega)
     toward = sin_f * np.cos(omega) + cos_f * np.sin(omega)
     distance = radius * np.hypot(along, toward * np.cos(inc))
@@ -376,7 +373,7 @@ class TabulatedSignal(_OfTime, Tabular1D):
 
     @property
     def arguments(self):
-        """Arguments that make an equal signal."""
+        """Arguments of an equal model (dict)."""
         return {"points": self.points[0], "lookup_table": self.lookup_table}
 
 
@@ -457,16 +454,16 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
     The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
     (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
-    low frequency and falls as the fourth power of the frequency, as granulation's does. The
-    covariance gives the root mean square of lightkurve's CDPP, which is scaled to `cdpp`; the
-    estimator's clipping and the edges of its filter raise the mean by up to 3 %.
+    low frequency and falls as the fourth power of the frequency, as granulation's does. The root
+    mean square of lightkurve's CDPP, which follows from the covariance, is scaled to `cdpp`; the
+    estimator's clipping and edges raise the mean by up to 3 %.
 
     Parameters
     ----------
     time : array_like or `~astropy.units.Quantity`
         Times ``(n,)`` in days, increasing, at which it is drawn; linear in between.
     cdpp : float or `~astropy.units.Quantity`
-        Expected CDPP in ppm, in lightkurve's convention.
+        Expected CDPP in ppm.
     timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
@@ -513,7 +510,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
 
 def _unit_cdpp(kernel, cadence, duration):
-    """Root mean square of the filtered running mean of a process, by its covariance."""
+    """Root mean square of the filtered running mean of a process."""
     width = max(1, round(duration / 24 / cadence))
     length = max(3, 2 * int(_FILTER_DAYS / cadence // 2) + 1)
     high_pass = -savgol_coeffs(length, _FILTER_ORDER)
