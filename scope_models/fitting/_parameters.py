@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._values import Value
-from scope_models.models._parameters import numbers_of
+from scope_models.models.integration import numbers_of
 
 __all__ = [
     "CADENCE_UNITS", "STATISTICS", "FitParameter", "FittedStar", "cadence_table",

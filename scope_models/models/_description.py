@@ -14,7 +14,7 @@ from astropy.modeling import CompoundModel, Model
 from astropy.time import Time
 
 from scope_models._arrays import is_angle, plain_array
-from scope_models.models._parameters import value_of
+from scope_models.models.integration import value_of
 from scope_models.models.psf import SensitivityPolynomial
 
 __all__ = [

@@ -18,7 +18,6 @@ from scope_models._arrays import is_angle, plain_array, without_unit
 from scope_models._checks import checked_choice, checked_shape
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._gaussian import gauss_legendre, gaussian_nodes, gaussian_pixels
-from scope_models.models._parameters import value_of
 
 __all__ = ["integrate_pixels"]
 
@@ -108,6 +107,14 @@ def _diffused(form, variance):
         return np.stack(np.broadcast_arrays(*parts))
 
     return ClosedForm(form.flux, parameters, pixels, form.names and (*form.names, "variance"))
+
+
+def value_of(parameter):
+    return parameter.value if parameter.unit is None else parameter.quantity
+
+
+def numbers_of(model):
+    return {name: float(np.ravel(getattr(model, name).value)[0]) for name in model.param_names}
 
 
 def pixels_of(value):

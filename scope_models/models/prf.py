@@ -10,7 +10,6 @@ from astropy.modeling import Parameter
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
-from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
 from scope_models.models.integration import (
     Factor,
     PixelPoints,
@@ -19,8 +18,11 @@ from scope_models.models.integration import (
     integrate_density,
     integrate_term,
     is_pixel_integrated,
+    numbers_of,
     one_number,
+    value_of,
 )
+from scope_models.models.psf import StarModel, make_parameters
 from scope_models.models.tables import PRFGrid, TabulatedPRF
 
 __all__ = ["PRF"]

@@ -20,7 +20,8 @@ from scipy.signal import savgol_coeffs
 from scope_models._arrays import LARGEST_DAY, plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
-from scope_models.models._parameters import check_domain, check_model_parameters, value_of
+from scope_models.models.integration import value_of
+from scope_models.models.psf import check_domain, check_model_parameters
 
 __all__ = ["TransitModel", "sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 

@@ -16,8 +16,8 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen
 from scope_models.models._gaussian import flattened
-from scope_models.models._parameters import StarModel, make_coefficients, numbers_of, value_of
-from scope_models.models.integration import ClosedForm, pixels_of
+from scope_models.models.integration import ClosedForm, numbers_of, pixels_of, value_of
+from scope_models.models.psf import StarModel, make_coefficients
 
 __all__ = ["CorrectedPRF", "PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
