@@ -41,11 +41,11 @@ _CHEBYSHEV_TOLERANCE = 1e-14
 FEW = 100
 # Rows per matrix product of a panel: with equal shapes, products are equal to the last bit.
 ROWS = 16
-# Width of a panel in pixels: most motions stay in the panel about the star's place.
+# Width of a panel in pixels, in which most motions stay.
 _SPAN = 1.5
 # Width of a panel in the logarithm of the density's width.
 _STEP = 0.125
-# Nodes beyond which a panel takes longer than its positions: of densities below 0.006 pixels.
+# Nodes beyond which a panel takes longer than its positions.
 _MOST_NODES = 1000
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
 _LINE_CHUNK = 1 << 16
@@ -161,8 +161,8 @@ class AxisPanels:
     k needs to be exact to ``1 / |rho|^(k/2)`` only, with the largest correlation coefficient rho.
 
     They are interpolated within panels of a ``span`` in position, of which one has the ``middle``,
-    pixels, and an eighth in the logarithm of the width: in given panels the integrals at a position
-    are the same, to the last bit, independent of the other positions.
+    pixels, and of a step in the width: the integrals at a position are the same, to the last bit,
+    independent of the others.
     """
 
     def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=_SPAN):
@@ -227,10 +227,10 @@ class AxisPanels:
         widths, across = _chebyshev_rule(m)
         at = key + (np.tile(nodes, m) + 1j * np.repeat(widths, n)) / 2
         expansion = np.tensordot(across, along @ self._direct(at).reshape(m, n, -1), axes=1)
-        # The last coefficients in either direction are those that a longer series would add to.
         sizes = np.abs(expansion).reshape(m, n, n_orders, -1).max(axis=3) @ self._needed
         # Numbers of coefficients up to the last that matters, one at least.
         keep = [max(np.flatnonzero(sizes.max(axis=i) > 1), default=0) + 1 for i in (0, 1)]
+        # A longer series would add to the last ones.
         if keep[0] > n - 2 or (m > 1 and keep[1] > m - 2):
             return None, None
         expansion = expansion[: keep[1], : keep[0]]
@@ -238,7 +238,7 @@ class AxisPanels:
 
 
 def axis_table(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
-    """Return the function of a slice of positions that gives integrals ``(m, n_orders, n)``."""
+    """Return the function of a slice of positions that gives the integrals."""
     low, high = center.min(), center.max()
     if sigma.size == 1 and center.size > FEW * (1 + high - low):
         place = (low + high) / 2, 1.001 * (high - low) + 1e-6
@@ -284,7 +284,7 @@ def contract(y_table, x_table, out):
 
 def series_step(n_terms, x, y):
     """Number of densities whose tables fit into the cache together."""
-    return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size, 1)), _FEWEST), _MOST)
+    return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size)), _FEWEST), _MOST)
 
 
 def slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh):

@@ -1,4 +1,4 @@
-"""Images of one star in all cadences of a series: each depends on its own position alone."""
+"""Images of one star in all cadences of a series."""
 
 import math
 from dataclasses import replace
@@ -7,8 +7,17 @@ from functools import partial
 import numpy as np
 
 from scope_models._arrays import without_unit
-from scope_models.models import _gaussian
-from scope_models.models._gaussian import FEW, REACH, ROWS, AxisPanels, gaussian_pixels
+from scope_models.models._gaussian import (
+    FEW,
+    REACH,
+    ROWS,
+    AxisPanels,
+    contract,
+    gaussian_pixels,
+    n_terms,
+    series_step,
+    uses_series,
+)
 from scope_models.models.integration import (
     Factor,
     PixelPoints,
@@ -67,7 +76,7 @@ class ImageSeries:
         return np.zeros((len(x), *self._shape)) if images is None else images
 
     def lost(self, x, y):
-        """Largest part of the light off the stamp: where it is farthest on axes and diagonals."""
+        """Largest part of the light off the stamp, at the extremes on axes and diagonals."""
         ny, nx = self._stamp
         ends = x.min() + 0.5, nx - 0.5 - x.max(), y.min() + 0.5, ny - 0.5 - y.max()
         if min(ends) > self._reach:
@@ -163,7 +172,7 @@ def _engine(term, gaussian, columns, rows, blur, middle):
     along = term.polynomials()
     widened = partial(_widened, *gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
-    if not _gaussian.uses_series(sigma_x, rho, max(c.size for c in along) - 1):
+    if not uses_series(sigma_x, rho, max(c.size for c in along) - 1):
         # So narrow along one direction that the series is long.
         def fill_by_lines(x, y, widths, out):
             if widths is None:
@@ -174,7 +183,7 @@ def _engine(term, gaussian, columns, rows, blur, middle):
 
         return _BATCH, fill_by_lines
 
-    n = _gaussian.n_terms(rho)
+    n = n_terms(rho)
     orders = np.arange(n)[:, np.newaxis]
     x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho), middle[0])
     y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho), middle[1])
@@ -191,9 +200,9 @@ def _engine(term, gaussian, columns, rows, blur, middle):
             x_table, y_table = x_axis(x), y_axis(y)
         if n > 1:
             y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
-        _gaussian.contract(y_table, x_table, out)
+        contract(y_table, x_table, out)
 
-    return _gaussian.series_step(n, columns, rows) // ROWS * ROWS, fill
+    return series_step(n, columns, rows) // ROWS * ROWS, fill
 
 
 def _widened(sigma_x, sigma_y, rho, blur, widths=1.0):

@@ -1,4 +1,4 @@
-"""Integration of models over pixels: the one place where a density becomes a flux."""
+"""Integration of models over pixels."""
 
 import math
 import warnings
@@ -99,10 +99,10 @@ def _diffused(form, variance):
         if not derivatives:
             return form.pixels(*arguments)
         image, by_x, by_y, by_wide, by_tall, by_tilt = form.pixels(*arguments, derivatives=True)
-        tilt = rho * narrowed
-        by_sigma_x = by_wide * sigma_x / wide + by_tilt * tilt * (1 / sigma_x - sigma_x / wide**2)
-        by_sigma_y = by_tall * sigma_y / tall + by_tilt * tilt * (1 / sigma_y - sigma_y / tall**2)
-        by_variance = by_wide / wide + by_tall / tall - by_tilt * tilt * (1 / wide**2 + 1 / tall**2)
+        turned = by_tilt * rho * narrowed
+        by_sigma_x = by_wide * sigma_x / wide + turned * (1 / sigma_x - sigma_x / wide**2)
+        by_sigma_y = by_tall * sigma_y / tall + turned * (1 / sigma_y - sigma_y / tall**2)
+        by_variance = by_wide / wide + by_tall / tall - turned * (1 / wide**2 + 1 / tall**2)
         parts = [image, by_x, by_y, by_sigma_x, by_sigma_y, by_tilt * narrowed, by_variance / 2]
         return np.stack(np.broadcast_arrays(*parts))
 
@@ -163,7 +163,7 @@ class Factor:
 
     @property
     def scale(self):
-        """Smallest width in pixels, as far as the parameters' names show it."""
+        """Smallest width in pixels, as far as parameters' names show it."""
         known = [(_WIDTHS[name], value) for name, value in self.values.items() if name in _WIDTHS]
         widths = [np.min(np.abs(pixels_of(value))) / ratio for ratio, value in known]
         if not widths:
@@ -226,7 +226,7 @@ class Term:
 
 
 def is_pixel_integrated(model):
-    """Whether a model's values are fluxes of pixels, as of a PRF or an image of photutils."""
+    """Whether a model's values are fluxes of pixels."""
     own = getattr(model, "pixel_integrated", None)
     if own is not None:
         return own
@@ -288,7 +288,7 @@ class PixelPoints:
         return points
 
     def repeated(self, lead):
-        """Columns and rows of the points for each of ``lead`` images, and the image's number."""
+        """Columns, rows and the image's number, for each of ``lead`` images."""
         n = math.prod(lead)
         return np.tile(self.x, n), np.tile(self.y, n), np.repeat(np.arange(n), self.x.size)
 
@@ -437,9 +437,9 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     TypeError
         If model is not a model, or shape not two integers.
     ValueError
-        If the model has other inputs or outputs, both or neither of shape and (x, y) are given, a
-        pixel-integrated model is multiplied by something that varies within a pixel, or
-        ``method="analytic"`` finds no closed form.
+        If the model has other inputs or outputs, both or neither of shape and (x, y) are given,
+        fluxes of pixels are multiplied by something that varies within a pixel, or "analytic" finds
+        no closed form.
 
     Warns
     -----

@@ -114,7 +114,7 @@ class _Component:
         return image, own
 
     def _by_quadrature(self, term, points, values, name):
-        """Derivative of the image by one of the density's parameters, by quadrature."""
+        """Derivative of the image by a parameter of the density."""
         factor, number = term.densities[0], self.model.param_names.index(name)
         if self.model.fit_deriv is None or factor.size:
             return self._difference(points, values, name)
@@ -127,7 +127,7 @@ class _Component:
         return integrate_density(term, points, evaluate)
 
     def _difference(self, points, values, name):
-        """Central difference of the image by a parameter of the density or of the diffusion."""
+        """Central difference of the image by a parameter."""
         source = self.shape.get(name, name)
         step = _STEP * max(1.0, np.max(np.abs(values[source]))) if name in self.shape else _STEP
         changes = ({source: values[source] + size} for size in (step, -step))
@@ -161,9 +161,8 @@ class PRF(StarModel):
     Raises
     ------
     TypeError, ValueError
-        If the compound is not such a sum, holds tied or array-valued parameters or a model that
-        is integrated over pixels already, its fluxes do not add up to a positive number, or a
-        parameter is not finite.
+        If the compound is not such a sum, holds tied or array-valued parameters, its fluxes do not
+        add up to a positive number, or a parameter is not finite.
 
     Notes
     -----
@@ -175,9 +174,6 @@ class PRF(StarModel):
     Bounds and fixed parameters are taken over from the components. The coefficients of the
     sensitivity and the offsets are fixed until, for example, ``prf.ax2.fixed = False``: a single
     image hardly separates them from position, flux and width.
-
-    Off the integers the model gives the flux in the unit square around a position, with the
-    response of a pixel centered there, as photutils' PRFs do.
 
     References
     ----------
@@ -270,7 +266,7 @@ class PRF(StarModel):
         Returns
         -------
         prf : PRF
-            Of a `~scope_models.models.TabulatedPRF`, bilinear between the places.
+            Of a `~scope_models.models.TabulatedPRF`.
 
         Raises
         ------
@@ -293,18 +289,18 @@ class PRF(StarModel):
         Returns
         -------
         prf : PRF
-            Of a `~scope_models.models.TabulatedPRF`, linear between the center and two corners.
+            Of a `~scope_models.models.TabulatedPRF`.
 
         Raises
         ------
         OSError, ValueError
-            If the file is not of that format.
+            If the file is of another format.
         """
         return cls(PRFGrid.from_kepler(path).at(column, row))
 
     @property
     def psf(self):
-        """The light before the pixel, of total flux 1; a table of a PRF stands for itself."""
+        """The light before the pixel, of total flux 1, or the table of a PRF."""
         values = self._own_or()
         return reduce(add, (c.at(values, fraction) for c, fraction in self._parts(values)))
 
@@ -342,7 +338,7 @@ class PRF(StarModel):
         return {name: p for response in self._responses for name, p in response.powers.items()}
 
     def _own_or(self, values=None):
-        """Value of each parameter as a float, with others in their place."""
+        """Value of each parameter, with others in their place."""
         own = numbers_of(self)
         unknown = set(values or {}) - set(own)
         if unknown:
@@ -362,7 +358,7 @@ class PRF(StarModel):
         return total
 
     def evaluate(self, x, y, *parameters):
-        """Flux in pixels at columns x and rows y, with which arrays of parameters broadcast."""
+        """Flux in pixels, with whose columns and rows arrays of parameters broadcast."""
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
@@ -453,11 +449,9 @@ class PRF(StarModel):
         shape : tuple of int
             Shape (ny, nx) of an image.
         flux, x_0, y_0 : float or array_like, optional
-            Flux, column and row at each of n cadences, ``(n,)``, or a number for all; by default
-            the model's.
+            Flux, column and row at n cadences, ``(n,)`` or numbers; by default the model's.
         out, coords : `~numpy.ndarray`, optional
-            As for `astropy.modeling.Model.render`, which also takes calls without a shape, or with
-            an image in its place.
+            As for `astropy.modeling.Model.render`, as are calls without a shape or with an image.
 
         Returns
         -------
@@ -473,13 +467,9 @@ class PRF(StarModel):
             return super().render(shape if out is None else out, flux if coords is None else coords)
         flux = value_of(self.flux) if flux is None else flux
         unit, own = getattr(flux, "unit", None), numbers_of(self)
-        for name, value, wanted in (
-            ("flux", flux, None),
-            ("x_0", x_0, u.pixel),
-            ("y_0", y_0, u.pixel),
-        ):
+        for name, value in zip(_POSITION, (flux, x_0, y_0), strict=True):
             if value is not None:
-                own[name] = plain_array(value, wanted, name)
+                own[name] = plain_array(value, None if name == "flux" else u.pixel, name)
             if np.ndim(own[name]) > 1 or not np.all(np.isfinite(own[name])):
                 raise ValueError(f"`{name}` must be finite, a number or of shape (n,)")
         shapes = [np.shape(own[name]) for name in _POSITION]

@@ -1,4 +1,4 @@
-"""Point spread functions, the light of a star before the pixel, and responses within pixels."""
+"""Point spread functions, and the response within pixels."""
 
 from functools import partial, reduce
 from operator import add
@@ -106,7 +106,7 @@ def make_coefficients(model, order, function):
 
 
 def gaussian_box(model, factor):
-    """Rectangle of a half-width of so many sigma_x and sigma_y."""
+    """Rectangle of so many sigma_x and sigma_y to either side."""
     d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
     return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
 
@@ -246,8 +246,7 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
         \qquad \mathrm{FWHM} = 2 \alpha \sqrt{2^{1 / \beta} - 1} ,
 
     and Gauss-Laguerre quadrature makes a sum of it. By default the flux within one FWHM is right to
-    1e-5, and 0.1 percent of all is in another place, most beyond three FWHM.
-    ``photutils.psf.MoffatPSF`` is the exact function.
+    1e-5, and 0.1 percent of all is elsewhere. ``photutils.psf.MoffatPSF`` is exact.
 
     Parameters
     ----------
@@ -301,8 +300,7 @@ class GaussHermitePSF(StarModel):
         \qquad h_k(z) = \frac{He_k(z)}{\sqrt{k!}} \varphi(z), \quad c_{00} = 1,
 
     with :math:`z_x = (x - x_0) / \sigma_x`, the probabilists' Hermite polynomials and the normal
-    density :math:`\varphi`. Only the first term has a total flux. The density may be negative
-    somewhere.
+    density :math:`\varphi`. The density may be negative somewhere.
 
     Parameters
     ----------
@@ -483,12 +481,12 @@ class SensitivityPolynomial(Fittable2DModel):
     @property
     def x_coefficients(self):
         """Coefficients along x, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self.param_names[: self._n_x])
+        return tuple(self.parameters[: self._n_x].tolist())
 
     @property
     def y_coefficients(self):
         """Coefficients along y, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self.param_names[self._n_x :])
+        return tuple(self.parameters[self._n_x :].tolist())
 
     @property
     def powers(self):
@@ -519,9 +517,8 @@ class DiffusionSensitivity(Fittable2DModel):
               c(u) = \frac{1}{2}\left[\mathrm{erf}\frac{u + 1/2}{\sqrt{2}\,\sigma_d} -
               \mathrm{erf}\frac{u - 1/2}{\sqrt{2}\,\sigma_d}\right]
 
-    is the part of the charge from the offset (u, v) that a pixel collects. It does not end at the
-    pixel's edge: neighbors collect the rest, so that a sum of all pixels loses no light and does
-    not depend on where the star is.
+    is the part of the charge from the offset (u, v) that a pixel collects. Its neighbors collect
+    the rest: a sum of all pixels does not depend on where the star is.
 
     Parameters
     ----------
@@ -538,9 +535,9 @@ class DiffusionSensitivity(Fittable2DModel):
     Notes
     -----
     The integral over pixels of a density times this response is that of the density convolved with
-    the diffusion. A Gaussian becomes a wider Gaussian, so that pixels do not separate its width and
-    sigma_d, and `~scope_models.fit_tpf` holds sigma_d where a width is free. A
-    `~scope_models.SensitivityPolynomial` in the product acts before the charge diffuses.
+    the diffusion. A Gaussian becomes a wider one: `~scope_models.fit_tpf` holds sigma_d where a
+    width is free. A `~scope_models.SensitivityPolynomial` in the product acts before the charge
+    diffuses.
 
     Evaluated, the model is the part that the pixel which holds (x, y) keeps.
 

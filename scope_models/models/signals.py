@@ -78,12 +78,6 @@ class TransitModel(Fittable1DModel):
     >>> planet = TransitModel(period=3, t0=1, rp=0.1, a=9, u1=0.4, u2=0.3, exposure_time=0.0204)
     >>> print(np.round(planet(np.array([0.0, 0.95, 1.0])), 5))
     [1.      0.99451 0.9878 ]
-
-    Two planets are a product:
-
-    >>> both = planet * TransitModel(period=7, t0=1, rp=0.05, a=16)
-    >>> print(round(float(both(1.0)), 5))
-    0.98495
     """
 
     period = Parameter(default=10.0, bounds=(1e-6, None), description="orbital period in days")
@@ -125,7 +119,7 @@ class TransitModel(Fittable1DModel):
         return super().__call__(*args, **kwargs)
 
     def _in_units(self, *values):
-        """Return the parameters, or values of them, as numbers in their documented units."""
+        """Return the parameters, or values of them, in their documented units."""
         values = values or [value_of(getattr(self, name)) for name in self.param_names]
         given = zip(self.param_names, values, strict=True)
         plain = {name: plain_array(v, _UNITS.get(name, u.one), name).item() for name, v in given}
@@ -310,7 +304,7 @@ class TransitModel(Fittable1DModel):
             raise ValueError(f"`t0` must have the zero of the times, got the date {p.t0:.1f}")
         time = x.ravel() - p.t0
         flux = np.where(np.isfinite(time), 1.0, np.nan)
-        # The planet cannot move farther within half an exposure.
+        # The farthest that the planet moves within half an exposure.
         travel = _fastest(p) * self.exposure_time / 2
         near = np.flatnonzero(_separation(time, p, margin=travel) < 1 + p.rp + travel)
         if near.size:
@@ -455,9 +449,8 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
     The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
     (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
-    low frequency and falls as the fourth power of the frequency, as granulation's does. The root
-    mean square of lightkurve's CDPP, which follows from the covariance, is scaled to `cdpp`; the
-    estimator's clipping and edges raise the mean by up to 3 %.
+    low frequency and falls as the fourth power of the frequency, as granulation's does. Clipping
+    and edges of lightkurve's estimator raise the mean CDPP by up to 3 %.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
-"""PSFs and PRFs in tables, which splines interpolate, corrections of them, and grids of places."""
+"""PSFs and PRFs in tables, which splines interpolate, and grids of them."""
 
 from dataclasses import dataclass
 from functools import cached_property
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +20,7 @@ from scope_models.models.psf import StarModel, make_coefficients
 
 __all__ = ["CorrectedPRF", "PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
-# Errors of a Gaussian PRF of sigma 0.5 px at 9 samples per pixel, rms in 3 x 3 px: 0.005 ppm of its
-# flux for the degree 5, 1.2 ppm for 3.
+# Errors of a Gaussian PRF of sigma 0.5 px at 9 samples per pixel: 0.005 ppm, 1.2 ppm for degree 3.
 _DEGREE = 5
 # Positions that are integrated at once.
 _BATCH = 128
@@ -118,16 +116,20 @@ class _Table(StarModel):
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
 
-    array = property(
-        attrgetter("_surface.samples"), doc="The samples, read-only (ndarray of shape (ny, nx))."
-    )
-    oversampling = property(
-        attrgetter("_surface.oversampling"), doc="Samples per pixel along y and x (tuple of float)."
-    )
-    origin = property(
-        attrgetter("_surface.origin"),
-        doc="Sample, counted from 0, where the star is, along x and y (tuple of float).",
-    )
+    @property
+    def array(self):
+        """The samples, read-only (ndarray of shape (ny, nx))."""
+        return self._surface.samples
+
+    @property
+    def oversampling(self):
+        """Samples per pixel along y and x (tuple of float)."""
+        return self._surface.oversampling
+
+    @property
+    def origin(self):
+        """Sample, counted from 0, where the star is, along x and y (tuple of float)."""
+        return self._surface.origin
 
     @property
     def uncertainty(self):
@@ -270,9 +272,7 @@ class TabulatedPRF(_Table):
     _fluxes = _Table.array  # of a star of unit flux
 
     def uncertainty_image(self, shape):
-        """Return the uncertainty of the fluxes in an image, as the samples' is interpolated.
-
-        Errors of neighboring pixels are correlated.
+        """Return the uncertainty of the fluxes in an image, correlated between neighbors.
 
         Parameters
         ----------
@@ -501,9 +501,9 @@ class PRFGrid(Value):
         return columns.size * rows.size == len(self.tables)
 
     def weights(self, column, row):
-        """Return the weight of each table at a place, by linear interpolation.
+        """Return the weight of each table at a place.
 
-        It is bilinear where the places are a rectangular grid, else linear in triangles. Outside
+        It is bilinear where the places are a rectangular grid, else linear in triangles; outside
         the places the nearest edge counts.
 
         Parameters
