@@ -138,14 +138,13 @@ def model_in_pixels(model, pixel_scale):
         if parts[0] is model.left and parts[1] is model.right:
             return model
         return _OPERATORS[model.op](*parts)
-    parameters = {name: getattr(model, name) for name in model.param_names}
-    if not any(is_angle(p.unit) and name != "theta" for name, p in parameters.items()):
+    values = {name: value_of(getattr(model, name)) for name in model.param_names}
+    units = {name: getattr(v, "unit", None) for name, v in values.items() if name != "theta"}
+    if not any(map(is_angle, units.values())):
         return model
-    values = {}
-    for name, p in parameters.items():
-        values[name] = value_of(p)
-        if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
-            values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
+    for name, unit in units.items():
+        if is_angle(unit) or unit == u.pix:
+            values[name] = plain_array(values[name], u.pix, name, pixel_scale=pixel_scale)
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
 
 

@@ -29,13 +29,13 @@ __all__ = [
     "slope_pairs", "uses_series",
 ]  # fmt: skip
 
-# The series is cut where the rest is below this part of the total flux.
+# Rest, as part of the flux, below which the series of terms is cut.
 _TOLERANCE = 1e-11
 # Beyond this many standard deviations a Gaussian holds less than 1e-16 of its flux.
 REACH = 8.5
-# Largest growth of rounding errors, in units of epsilon, that the closed form may have.
+# Largest growth of rounding errors, in units of epsilon, of the closed form.
 _MAX_GROWTH = 1e5
-# Chebyshev coefficients, as part of the total flux, below which an interpolation is cut.
+# Chebyshev coefficients, as part of the flux, below which a series is cut.
 _CHEBYSHEV_TOLERANCE = 1e-14
 # So few positions are never interpolated: each is independent of the others to the last bit.
 FEW = 100
@@ -50,7 +50,7 @@ _MOST_NODES = 1000
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
 _LINE_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
-# Fewest and most densities in a step of the series: overhead and fresh large arrays take time.
+# Fewest and most densities in a step: overhead and fresh large arrays take time.
 _FEWEST, _MOST = 32, 1024
 # Scale of a density, in the size of a panel, down to which the line rule has one panel.
 _PANEL = 0.1
@@ -253,7 +253,7 @@ def axis_table(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
 
 
 def n_terms(rho):
-    """Number of terms of Mehler's expansion for the tolerance."""
+    """Number of terms of Mehler's expansion."""
     largest = np.max(np.abs(rho))
     return 1 if largest == 0 else int(np.ceil(np.log(_TOLERANCE) / np.log(largest))) + 1
 
@@ -390,8 +390,7 @@ def _line_images(x, y, parameters, coefficients, out):
 def _reached(pixels, center, sigma):
     """Slice of the pixels, in rising order, that any of the densities reaches."""
     reach = REACH * sigma.max() + 0.5
-    start, stop = pixels.searchsorted([center.min() - reach, center.max() + reach])
-    return slice(int(start), int(stop))
+    return slice(*pixels.searchsorted([center.min() - reach, center.max() + reach]))
 
 
 def flattened(parameters):

@@ -31,9 +31,9 @@ from scope_models.models.integration import (
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
-# Up to this number of positions are not interpolated.
+# Positions at once, so few that they are not interpolated.
 _BATCH = FEW - 4
-# Standard deviations beyond which a normal density holds less than 1e-13 of its light.
+# Standard deviations beyond which a Gaussian holds less than 1e-13 of its flux.
 _DARK = 7.5
 
 

@@ -25,7 +25,7 @@ __all__ = ["integrate_pixels"]
 _FWHM = 2 * np.sqrt(2 * np.log(2))
 # photutils' Gaussians, and the names of their widths.
 _GAUSSIANS = {"GaussianPSF": ("x_fwhm", "y_fwhm"), "CircularGaussianPSF": ("fwhm", "fwhm")}
-# photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
+# photutils' models whose values are fluxes of pixels, besides its PRFs.
 _INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
 # Parameters that set the width of a density, and their ratio to a standard deviation.
 _WIDTHS = dict.fromkeys(("sigma", "sigma_x", "sigma_y", "x_stddev", "y_stddev"), 1.0)
@@ -36,9 +36,9 @@ _SCALE_OF_OTHERS = 0.3
 _LEAST_DIFFUSION = 1e-100
 # Standard deviations of the diffusion beyond which no charge of a pixel comes from.
 _DIFFUSION_REACH = 7.0
-# Change between two rules, as part of an image's flux, at which a pixel has converged.
+# Change between two rules, as part of an image's flux, of pixels that have converged.
 _TOLERANCE = 1e-11
-# Growth of the number of nodes from rule to rule, and the number that leads to a subdivision.
+# Growth of the number of nodes from rule to rule, and the number that cuts a pixel.
 _GROWTH = 1.5
 _MOST_NODES = 48
 # Pixels are cut into quarters at most this often.
@@ -255,7 +255,7 @@ def expand(model):
 
 
 class PixelPoints:
-    """Pixel centers, which broadcast, and the grid of columns and rows that they lie on."""
+    """Pixel centers, which broadcast, and the grid that they lie on."""
 
     def __init__(self, x, y):
         try:
@@ -308,7 +308,7 @@ class PixelPoints:
 
 
 def _spread(number, points):
-    """Give numbers of shape (n,) the trailing axes of the points."""
+    """Give numbers ``(n,)`` the trailing axes of the points."""
     return np.reshape(number, np.shape(number) + (1,) * len(points.shape))
 
 

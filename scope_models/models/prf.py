@@ -50,7 +50,7 @@ class _Component:
     """One density or table of a PRF, and the names in the PRF of its own parameters.
 
     ``fraction`` and ``offsets`` name the part of the flux and the position relative to the star;
-    the first component has the rest, and is the star.
+    the first component has the rest.
     """
 
     model: object
@@ -370,8 +370,8 @@ class PRF(StarModel):
             x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
             values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
             values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-            for name in (name for response in self._responses for name in response.names.values()):
-                values[name] = one_number(name, values[name])
+            for response in self._responses:
+                values |= {n: one_number(n, values[n]) for n in response.names.values()}
             images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit
 
@@ -537,7 +537,7 @@ def _parts_of(terms):
 
 
 def _check_compound(compound, terms):
-    """Raise where a compound is not a sum of densities times sensitivities."""
+    """Raise unless a compound is a sum of densities times sensitivities."""
     if not terms:
         raise ValueError(f"no component of the compound has any flux: {compound}")
     for term in terms:

@@ -32,7 +32,6 @@ _RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
 # Of the flux, in a component of a Moffat PSF.
 _LEAST_FRACTION = 1e-5
 
-# Conditions of parameters.
 _TESTS = {
     "finite": np.isfinite,
     "positive": lambda value: np.isfinite(value) & (value > 0),
@@ -59,7 +58,7 @@ class StarModel(Fittable2DModel):
         self._check_units()
 
     def _check_units(self):
-        """Raise unless lengths are pixels or angles, and others but the flux have no unit."""
+        """Raise unless lengths are pixels or angles; others but the flux have no unit."""
         for name in self.param_names[1:]:
             parameter, is_length = getattr(self, name), name in self._lengths
             if parameter.unit is not None and not (is_length and is_angle(parameter.unit)):
@@ -148,8 +147,7 @@ class BivariateGaussianPSF(StarModel):
 
     The density is the light before the pixel; `~scope_models.integrate_pixels` and
     `~scope_models.PRF` integrate it. Equation 3 of Saunders et al. (2019) has an extra factor 1/2
-    on the two squared terms in print, with which it neither integrates to its amplitude nor is
-    positive definite for :math:`|\rho| \ge 1/2`; this is the standard density.
+    on the two squared terms in print; this is the standard density.
 
     Parameters
     ----------
@@ -158,8 +156,8 @@ class BivariateGaussianPSF(StarModel):
     x_0, y_0 : float or `~astropy.units.Quantity`
         Position of the star in pixels; x is the column, y the row.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
-        Standard deviations along the axes in pixels. Angles are for the ``psf`` of a
-        `~scope_models.Detector`, which has a pixel scale.
+        Standard deviations along the axes in pixels; in angles only for the ``psf`` of a
+        `~scope_models.Detector`.
     rho : float
         Correlation coefficient.
     **kwargs

@@ -336,8 +336,9 @@ class TabulatedPRF(_Table):
         from photutils.psf import ImagePSF
 
         size = integer_oversampling(self.oversampling)
-        values = dict(zip(("flux", "x_0", "y_0"), self.parameters.tolist(), strict=False))
-        return ImagePSF(np.array(self._fluxes), **values, origin=self.origin, oversampling=size)
+        flux, x_0, y_0 = self.parameters[:3].tolist()
+        options = {"origin": self.origin, "oversampling": size}
+        return ImagePSF(np.array(self._fluxes), flux=flux, x_0=x_0, y_0=y_0, **options)
 
 
 def integer_oversampling(oversampling):
@@ -466,7 +467,7 @@ class PRFGrid(Value):
     Raises
     ------
     ValueError
-        If the tables do not belong together, or there are two for one place.
+        If the tables do not belong together, or have the same place.
 
     Examples
     --------
@@ -653,11 +654,12 @@ class PRFGrid(Value):
         chosen = [row for row in found if camera in (None, row[0][0]) and ccd in (None, row[0][1])]
         if not chosen:
             raise FileNotFoundError(f"{path} has no PRF of camera {camera}, CCD {ccd}")
-        if len({item[0] for item in chosen}) > 1:
+        ccds, places, tables = zip(*chosen, strict=True)
+        if len(set(ccds)) > 1:
             raise ValueError(f"{path} holds several CCDs: give `camera` and `ccd`")
-        if len({item[1] for item in chosen}) < len(chosen):
+        if len(set(places)) < len(places):
             raise ValueError(f"{path} holds several epochs of a place: give the folder of one")
-        return cls([item[1] for item in chosen], [item[2] for item in chosen])
+        return cls(places, tables)
 
     @classmethod
     def from_kepler(cls, path):
