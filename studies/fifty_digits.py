@@ -19,7 +19,7 @@ from astropy.table import Table
 from mpmath.calculus.quadrature import GaussLegendre
 
 from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
-from scope_models.models import _axis, _gaussian
+from scope_models.models import _gaussian
 
 mp.mp.dps, STEP = 50, mp.mpf("1e-16")
 RULE = GaussLegendre(mp.mp)
@@ -151,7 +151,7 @@ def place_errors():
 def axis_errors(sigma):
     """Yield errors of the integrals along an axis as a Chebyshev series of the position grows."""
     pixels, row = np.arange(7.0), np.array(X_ROW)
-    panels = _axis.AxisPanels(pixels, sigma, row, 1)
+    panels = _gaussian.AxisPanels(pixels, sigma, row, 1)
     at = np.array([2.2500001, 2.41, 2.9, 3.39, 3.7499999])
     truth = [[float(along_y(mp.mpf(x) - p, mp.mpf(sigma), X_ROW)) for p in range(7)] for x in at]
     panels(at)

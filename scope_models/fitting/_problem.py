@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, null_space
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
-from scope_models.models._parameters import numbers_of
+from scope_models.models.integration import numbers_of
 
 __all__ = [
     "LARGEST_MOVE", "MEDIAN_SQUARE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations",

@@ -19,7 +19,7 @@ from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
-from scope_models.models._parameters import numbers_of
+from scope_models.models.integration import numbers_of
 from scope_models.scene._files import describe_detector, make_detector
 from scope_models.scene._motion_arrays import offsets_at
 from scope_models.scene.motion import Motion

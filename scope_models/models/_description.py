@@ -14,8 +14,8 @@ from astropy.modeling import CompoundModel, Model
 from astropy.time import Time
 
 from scope_models._arrays import is_angle, plain_array
-from scope_models.models._parameters import value_of
-from scope_models.models.sensitivity import SensitivityPolynomial
+from scope_models.models.integration import value_of
+from scope_models.models.psf import SensitivityPolynomial
 
 __all__ = [
     "check_coord", "class_named", "describe_coord", "describe_model", "make_coord",
@@ -32,24 +32,23 @@ _MOVES = dict.fromkeys(("pm_ra_cosdec", "pm_dec"), u.mas / u.yr)
 
 
 def describe_model(model):
-    """Return a model as the names of its classes and the values of its parameters."""
+    """Return a model as names of classes and values of parameters."""
     if model is None:
         return None
     if isinstance(model, CompoundModel):
         left, right = describe_model(model.left), describe_model(model.right)
         return {"operator": model.op, "left": left, "right": right}
+    values = {}
+    for name in model.param_names:
+        parameter = getattr(model, name)
+        value = values[name] = np.asarray(parameter.value).tolist()
+        if parameter.unit is not None:
+            values[name] = {"value": value, "unit": str(parameter.unit)}
+    values |= {k: packed(v) for k, v in getattr(model, "arguments", {}).items()}
     if isinstance(model, SensitivityPolynomial):
         names = ("x_coefficients", "y_coefficients")
         values = {name: list(getattr(model, name)) for name in names}
-    else:
-        values = {name: _value(getattr(model, name)) for name in model.param_names}
-        values |= {k: packed(v) for k, v in getattr(model, "arguments", {}).items()}
     return {"class": type(model).__name__, "parameters": values}
-
-
-def _value(parameter):
-    value = np.asarray(parameter.value).tolist()
-    return value if parameter.unit is None else {"value": value, "unit": str(parameter.unit)}
 
 
 def make_model(described):
@@ -81,7 +80,7 @@ def make_coord(described):
 
 
 def check_coord(coord):
-    """Check that a coordinate is one place on the sky, with an epoch if it moves."""
+    """Check that a coordinate is one place, with an epoch if it moves."""
     if not isinstance(coord, SkyCoord) or not coord.isscalar:
         raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
     try:
@@ -139,22 +138,20 @@ def model_in_pixels(model, pixel_scale):
         if parts[0] is model.left and parts[1] is model.right:
             return model
         return _OPERATORS[model.op](*parts)
-    parameters = {name: getattr(model, name) for name in model.param_names}
-    if not any(is_angle(p.unit) and name != "theta" for name, p in parameters.items()):
+    values = {name: value_of(getattr(model, name)) for name in model.param_names}
+    units = {name: getattr(v, "unit", None) for name, v in values.items() if name != "theta"}
+    if not any(map(is_angle, units.values())):
         return model
-    values = {}
-    for name, p in parameters.items():
-        values[name] = value_of(p)
-        if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
-            values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
+    for name, unit in units.items():
+        if is_angle(unit) or unit == u.pix:
+            values[name] = plain_array(values[name], u.pix, name, pixel_scale=pixel_scale)
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
 
 
 def class_named(name, base, modules, what):
-    """Return the class of a public name; of a full name, the last part counts.
+    """Return the class of a public name, of which the last part counts; nothing is imported by it.
 
-    Classes of ``modules`` go first, then any subclass of ``base`` that the user has defined.
-    ``what`` is what messages call the base. Nothing is imported by a file's word.
+    Classes of ``modules`` go first, then subclasses of the ``base``, called ``what``, of the user.
     """
     short = str(name).rpartition(".")[2]
     public = (getattr(importlib.import_module(module), short, None) for module in modules)

@@ -10,58 +10,66 @@ from astropy.modeling import Parameter
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
-from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated, one_number
-from scope_models.models.grids import PRFGrid
-from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
-from scope_models.models.tables import TabulatedPRF
+from scope_models.models.integration import (
+    Factor,
+    PixelPoints,
+    Term,
+    expand,
+    integrate_density,
+    integrate_term,
+    is_pixel_integrated,
+    numbers_of,
+    one_number,
+    value_of,
+)
+from scope_models.models.psf import StarModel, make_parameters
+from scope_models.models.tables import PRFGrid, TabulatedPRF
 
 __all__ = ["PRF"]
 
 _POSITION = ("flux", "x_0", "y_0")
-# Step of central differences for densities without a closed form, relative or absolute.
+# Step of central differences, relative or absolute.
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """A sensitivity in a PRF; ``names`` leads from its own parameters to those of the PRF."""
+    """A sensitivity of a PRF, and the names in the PRF of its own parameters."""
 
     model: object
     names: dict
 
     @property
     def powers(self):
-        """Axis and power by parameter of the PRF."""
+        """Axis and power by name in the PRF."""
         return {self.names[own]: place for own, place in self.model.powers.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """One density or table of a PRF, and which parameter of the PRF feeds which of its own.
+    """One density or table of a PRF, and the names in the PRF of its own parameters.
 
-    ``shape`` leads from its own parameters to those of the PRF. ``fraction`` and ``offsets`` hold
-    part of the flux and position relative to the star; the first has the rest, and is the star.
+    ``fraction`` and ``offsets`` name the part of the flux and the position relative to the star;
+    the first component has the rest.
     """
 
     model: object
     shape: dict
     fraction: str | None
-    offsets: tuple
+    offsets: dict
     responses: tuple
 
     def own_values(self, values, flux=1.0):
         own = {name: values[source] for name, source in self.shape.items()}
-        own["flux"] = flux
-        for name, offset in zip(("x_0", "y_0"), self.offsets or (None, None), strict=True):
-            own[name] = values[name] + values[offset] if offset else values[name]
+        own |= {"flux": flux, "x_0": values["x_0"], "y_0": values["y_0"]}
+        for name, offset in self.offsets.items():
+            own[name] = own[name] + values[offset]
         return {name: np.asarray(own[name]) for name in self.model.param_names}
 
     def at(self, values, flux):
-        """The density or table with its parameters at values of the PRF's."""
+        """The density or table at values of the PRF's parameters."""
         model = self.model.copy()
-        for name, value in self.own_values(values, flux).items():
-            getattr(model, name).value = float(value)
+        model.parameters = [float(value) for value in self.own_values(values, flux).values()]
         return model
 
     def term(self, values, flux=1.0):
@@ -75,20 +83,17 @@ class _Component:
 
     def derivatives(self, points, values):
         """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
-        term = self.term(values)
-        form = term.closed_form()
+        term, own_values = self.term(values), self.own_values(values)
+        form, names = term.closed_form(), [n for n in self.model.param_names if n != "flux"]
         if form is not None and form.names:
             names = form.names  # ending in the variance of the diffusion, if there is any
             image, *parts = points.apply(form, term.polynomials(), derivatives=True)
         elif hasattr(self.model, "unit_derivatives"):
-            names = self.model.param_names[1:]
-            at = self.own_values(values)
-            x, y = (at[name][..., np.newaxis] for name in ("x_0", "y_0"))
-            shape = [float(at[name]) for name in self.model.param_names[3:]]
-            parts = self.model.unit_derivatives(points.x - x, points.y - y, *shape)
+            x_0, y_0, *others = (own_values[name] for name in names)
+            offsets = points.x - x_0[..., np.newaxis], points.y - y_0[..., np.newaxis]
+            parts = self.model.unit_derivatives(*offsets, *map(float, others))
             image, *parts = (part.reshape((*part.shape[:-1], *points.shape)) for part in parts)
         else:
-            names = tuple(name for name in self.model.param_names if name != "flux")
             image = integrate_term(term, points)
             parts = [self._by_quadrature(term, points, values, name) for name in names]
         own = dict(zip((self.shape.get(n, n) for n in names), parts, strict=True))
@@ -109,7 +114,7 @@ class _Component:
         return image, own
 
     def _by_quadrature(self, term, points, values, name):
-        """Derivative of the image by one of the density's parameters, by quadrature."""
+        """Derivative of the image by a parameter of the density."""
         factor, number = term.densities[0], self.model.param_names.index(name)
         if self.model.fit_deriv is None or factor.size:
             return self._difference(points, values, name)
@@ -122,10 +127,9 @@ class _Component:
         return integrate_density(term, points, evaluate)
 
     def _difference(self, points, values, name):
-        """Central difference of the image by one of the density's parameters."""
+        """Central difference of the image by a parameter."""
         source = self.shape.get(name, name)
-        size = float(np.max(np.abs(values[source]))) if name in self.shape else 1.0
-        step = _STEP * max(1.0, size)
+        step = _STEP * max(1.0, np.max(np.abs(values[source]))) if name in self.shape else _STEP
         changes = ({source: values[source] + size} for size in (step, -step))
         high, low = (integrate_term(self.term(values | change), points) for change in changes)
         return (high - low) / (2 * step)
@@ -145,8 +149,7 @@ class PRF(StarModel):
     compound : `~astropy.modeling.Model`
         Sum of densities with the parameters ``flux``, ``x_0`` and ``y_0`` (our PSFs, photutils'
         PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial` and
-        `~scope_models.models.DiffusionSensitivity`, such as
-        ``(core + wings) * SensitivityPolynomial()``. A `~scope_models.models.TabulatedPRF` is a
+        `~scope_models.models.DiffusionSensitivity`. A `~scope_models.models.TabulatedPRF` is a
         component too, but never times a sensitivity: its fluxes hold the response of the pixels.
     flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
         Overall flux and position; by default the sum of the components' fluxes and the position
@@ -158,29 +161,23 @@ class PRF(StarModel):
     Raises
     ------
     TypeError, ValueError
-        If the compound is not such a sum, holds tied or array-valued parameters or a model that
-        is integrated over pixels already, its fluxes do not add up to a positive number, or a
-        parameter is not finite.
+        If the compound is not such a sum, holds tied or array-valued parameters, its fluxes do not
+        add up to a positive number, or a parameter is not finite.
 
     Notes
     -----
     The parameters are ``flux``, ``x_0``, ``y_0`` and the components' own remaining ones. With
     several components these end in ``_0``, ``_1``, ..., and each component but the first has
     ``flux_fraction_k``, its part of the flux (the first has the rest), and ``x_offset_k``,
-    ``y_offset_k``, its position relative to the first. Nothing is tied: the constraints are in
-    the parametrization.
+    ``y_offset_k``, its position relative to the first.
 
-    Bounds and fixed parameters are taken over from the components. Two kinds are fixed unless
-    that is changed by, for example, ``prf.ax2.fixed = False``: the coefficients of the sensitivity
-    and the offsets, because a single image hardly separates them from position, flux and width.
-
-    Evaluated at positions that are not integers, the model gives the flux in the unit square
-    around them, with the response of a pixel centered there, as photutils' PRFs do.
+    Bounds and fixed parameters are taken over from the components. The coefficients of the
+    sensitivity and the offsets are fixed until, for example, ``prf.ax2.fixed = False``: a single
+    image hardly separates them from position, flux and width.
 
     References
     ----------
-    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
-    Characterization with Pixel Level De-correlation", equation 1.
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 1.
 
     Examples
     --------
@@ -205,7 +202,7 @@ class PRF(StarModel):
         self._components, self._responses = _parts_of(terms)
         first = terms[0].densities[0].model
         fluxes = [term.scale * value_of(term.densities[0].model.flux) for term in terms]
-        total = sum(fluxes[1:], start=fluxes[0])
+        total = reduce(add, fluxes)
         if not np.isfinite(total) or total <= 0:
             raise ValueError(f"the components' fluxes must add up to a positive sum, got {total}")
         values = {
@@ -213,26 +210,28 @@ class PRF(StarModel):
             "x_0": value_of(first.x_0) if x_0 is None else x_0,
             "y_0": value_of(first.y_0) if y_0 is None else y_0,
         }
-        alone = _POSITION if len(terms) == 1 else ()
-        parameters = {name: _like(getattr(first, name), name) for name in alone}
+        parameters = []
+
+        def take_over(model, names, **options):
+            for own, name in names.items():
+                parameters.append(_like(getattr(model, own), name, **options))
+                values.setdefault(name, value_of(getattr(model, own)))
+
+        if len(terms) == 1:
+            take_over(first, {name: name for name in _POSITION})
         for k, component in enumerate(self._components):
-            for own, name in component.shape.items():
-                source = getattr(component.model, own)
-                parameters[name] = _like(source, name)
-                values[name] = value_of(source)
+            take_over(component.model, component.shape)
             if part := component.fraction:
                 text = f"Part of the flux in component {k}"
-                parameters[part] = Parameter(part, bounds=(0.0, 1.0), description=text)
+                parameters.append(Parameter(part, bounds=(0.0, 1.0), description=text))
                 values[part] = float(fluxes[k] / total)
-                for name, axis in zip(component.offsets, ("x_0", "y_0"), strict=True):
-                    text = f"{axis[0]} of component {k} less {axis}"
-                    parameters[name] = Parameter(name, fixed=True, description=text)
-                    source, origin = getattr(component.model, axis), getattr(first, axis)
-                    values[name] = value_of(source) - value_of(origin)
+            for axis, name in component.offsets.items():
+                text = f"{axis[0]} of component {k} less {axis}"
+                parameters.append(Parameter(name, fixed=True, description=text))
+                place, star = (value_of(getattr(m, axis)) for m in (component.model, first))
+                values[name] = place - star
         for response in self._responses:
-            for own, name in response.names.items():
-                parameters[name] = _like(getattr(response.model, own), name, fixed=True)
-                values[name] = value_of(getattr(response.model, own))
+            take_over(response.model, response.names, fixed=True)
         make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
@@ -258,17 +257,16 @@ class PRF(StarModel):
         Parameters
         ----------
         path : str or path-like
-            A file, or a folder of files: see `~scope_models.models.PRFGrid.from_tess`.
+            A file, or a folder of files, as for `~scope_models.models.PRFGrid.from_tess`.
         camera, ccd : int, optional
             Which CCD; not needed if there is only one.
         column, row : float or `~astropy.units.Quantity`, optional
-            The place in pixels of the full-frame image, as in a target pixel file; not needed
-            for a single file.
+            The place in pixels of the full-frame image; not needed for a single file.
 
         Returns
         -------
         prf : PRF
-            Of a `~scope_models.models.TabulatedPRF`, bilinear between the places.
+            Of a `~scope_models.models.TabulatedPRF`.
 
         Raises
         ------
@@ -284,38 +282,35 @@ class PRF(StarModel):
         Parameters
         ----------
         path : str or path-like
-            The file of a channel: see `~scope_models.models.PRFGrid.from_kepler`.
+            The file of a channel.
         column, row : float or `~astropy.units.Quantity`
-            The place in pixels of the channel, as in a target pixel file.
+            The place in pixels of the channel.
 
         Returns
         -------
         prf : PRF
-            Of a `~scope_models.models.TabulatedPRF`, linear between the center and two corners.
+            Of a `~scope_models.models.TabulatedPRF`.
 
         Raises
         ------
         OSError, ValueError
-            If the file is not of that format.
+            If the file is of another format.
         """
         return cls(PRFGrid.from_kepler(path).at(column, row))
 
     @property
     def psf(self):
-        """The light before the pixel, of total flux 1, at the position of the model.
-
-        A density or a sum of densities; a table of a PRF stands for itself.
-        """
+        """The light before the pixel, of total flux 1, or the table of a PRF."""
         values = self._own_or()
         return reduce(add, (c.at(values, fraction) for c, fraction in self._parts(values)))
 
     @property
     def sensitivity(self):
         """The response within a pixel: a sensitivity, a product of several, or None."""
-        models = [response.model.copy() for response in self._responses]
-        for response, model in zip(self._responses, models, strict=True):
-            for own, source in response.names.items():
-                getattr(model, own).value = float(getattr(self, source).value)
+        models, numbers = [], numbers_of(self)
+        for response in self._responses:
+            models.append(response.model.copy())
+            models[-1].parameters = [numbers[name] for name in response.names.values()]
         return reduce(mul, models) if models else None
 
     @property
@@ -323,14 +318,14 @@ class PRF(StarModel):
         """Kinds of the parameters in a fit, where they have one (dict of str).
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
-        relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
-        of one that shares charge, and "correction" a coefficient of a factor of a table.
+        relative to the star, "response" and "diffusion" belong to sensitivities, and "correction"
+        to a factor of a table.
         """
         kinds = {}
         for component in self._components:
             own = getattr(component.model, "parameter_kinds", {})
             kinds |= {source: own[name] for name, source in component.shape.items() if name in own}
-            kinds |= dict.fromkeys(component.offsets, "offset")
+            kinds |= dict.fromkeys(component.offsets.values(), "offset")
             kinds |= {component.fraction: "fraction"} if component.fraction else {}
         for response in self._responses:
             kind = "diffusion" if "sigma_d" in response.names else "response"
@@ -343,7 +338,7 @@ class PRF(StarModel):
         return {name: p for response in self._responses for name, p in response.powers.items()}
 
     def _own_or(self, values=None):
-        """Value of each parameter as a float, with others in their place."""
+        """Value of each parameter, with others in their place."""
         own = numbers_of(self)
         unknown = set(values or {}) - set(own)
         if unknown:
@@ -363,7 +358,7 @@ class PRF(StarModel):
         return total
 
     def evaluate(self, x, y, *parameters):
-        """Flux in the pixels at columns x and rows y, with which arrays of parameters broadcast."""
+        """Flux in pixels, with whose columns and rows arrays of parameters broadcast."""
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
@@ -375,8 +370,8 @@ class PRF(StarModel):
             x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
             values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
             values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-            for name in (name for response in self._responses for name in response.names.values()):
-                values[name] = one_number(name, values[name])
+            for response in self._responses:
+                values |= {n: one_number(n, values[n]) for n in response.names.values()}
             images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit
 
@@ -388,31 +383,30 @@ class PRF(StarModel):
         return [image, *(values["flux"] * derivatives[name] for name in self.param_names[1:])]
 
     def _unit_derivatives(self, points, values):
-        """Images of unit flux, and their derivatives by parameter, without the flux."""
-        total, derivatives, images = 0.0, {}, []
+        """Images of unit flux, and their derivatives by parameter but the flux."""
+        total, derivatives, first = 0.0, {}, None
         for component, fraction in self._parts(values):
             image, own = component.derivatives(points, values)
-            images.append(image)
+            first = image if first is None else first
             total = total + fraction * image
             for name, derivative in own.items():
                 part = fraction * derivative
-                if component.offsets and name in {"x_0", "y_0"}:
-                    derivatives[component.offsets[name == "y_0"]] = part
+                if name in component.offsets:
+                    derivatives[component.offsets[name]] = part
                 derivatives[name] = derivatives[name] + part if name in derivatives else part
-        for component, image in zip(self._components, images, strict=True):
             if component.fraction:
-                derivatives[component.fraction] = image - images[0]
+                derivatives[component.fraction] = image - first
         return total, derivatives
 
     def unit_images(self, shape, x_0=None, y_0=None, *, values=None, derivatives=False):
-        """Draw images of a star of unit flux, and their derivatives.
+        """Draw images of a star of unit flux.
 
         Parameters
         ----------
         shape : tuple of int
             Shape (ny, nx) of an image.
         x_0, y_0 : float or array_like, optional
-            Column and row in pixels, numbers or of shape ``(n,)``; by default the model's.
+            Column and row in pixels, numbers or ``(n,)``; by default the model's.
         values : dict, optional
             Numbers in place of the model's parameters, by name.
         derivatives : bool, optional
@@ -455,11 +449,9 @@ class PRF(StarModel):
         shape : tuple of int
             Shape (ny, nx) of an image.
         flux, x_0, y_0 : float or array_like, optional
-            Flux, column and row at each of n cadences, shape ``(n,)``; a number serves for all
-            of them. The default is the parameter's value.
+            Flux, column and row at n cadences, ``(n,)`` or numbers; by default the model's.
         out, coords : `~numpy.ndarray`, optional
-            As for `astropy.modeling.Model.render`, of which this is then a call; so is one whose
-            first argument is an image, or that has no argument.
+            As for `astropy.modeling.Model.render`, as are calls without a shape or with an image.
 
         Returns
         -------
@@ -473,24 +465,24 @@ class PRF(StarModel):
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)
-        given = {"flux": flux, "x_0": x_0, "y_0": y_0}
-        given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
-        unit = getattr(given["flux"], "unit", None)
-        own = {k: plain_array(v, u.pixel if k != "flux" else None, k) for k, v in given.items()}
-        for name, value in own.items():
-            if value.ndim > 1 or not np.all(np.isfinite(value)):
+        flux = value_of(self.flux) if flux is None else flux
+        unit, own = getattr(flux, "unit", None), numbers_of(self)
+        for name, value in zip(_POSITION, (flux, x_0, y_0), strict=True):
+            if value is not None:
+                own[name] = plain_array(value, None if name == "flux" else u.pixel, name)
+            if np.ndim(own[name]) > 1 or not np.all(np.isfinite(own[name])):
                 raise ValueError(f"`{name}` must be finite, a number or of shape (n,)")
-        shapes = [value.shape for value in own.values()]
+        shapes = [np.shape(own[name]) for name in _POSITION]
         try:
             np.broadcast_shapes(*shapes)
         except ValueError as error:
             message = f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
             raise ValueError(message) from error
-        images = self._images(PixelPoints.from_shape(shape), numbers_of(self) | own)
+        images = self._images(PixelPoints.from_shape(shape), own)
         return images if unit is None else images * unit
 
     def bounding_box(self):
-        """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the pixels that the star reaches."""
+        """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the star's pixels."""
         values = self._own_or()
         boxes = [c.at(values, 1.0).bounding_box.bounding_box() for c in self._components]
         half = 0.5 * u.pixel if isinstance(boxes[0][0][0], u.Quantity) else 0.5
@@ -524,7 +516,7 @@ def _like(source, name, *, fixed=None):
 
 
 def _parts_of(terms):
-    """The components and the sensitivities of a compound, with names for their parameters."""
+    """The components and the sensitivities of a compound."""
     factors = [factor for term in terms for factor in term.sensitivities]
     models = list({id(factor.model): factor.model for factor in factors}.values())
     responses = {}
@@ -538,14 +530,14 @@ def _parts_of(terms):
         suffix = f"_{k}" if len(terms) > 1 else ""
         shape = {name: name + suffix for name in model.param_names if name not in _POSITION}
         fraction = f"flux_fraction_{k}" if k else None
-        offsets = (f"x_offset_{k}", f"y_offset_{k}") if k else ()
+        offsets = {"x_0": f"x_offset_{k}", "y_0": f"y_offset_{k}"} if k else {}
         own = tuple(responses[id(factor.model)] for factor in term.sensitivities)
         components.append(_Component(model.copy(), shape, fraction, offsets, own))
     return components, list(responses.values())
 
 
 def _check_compound(compound, terms):
-    """Raise where a compound is not a sum of densities times sensitivities."""
+    """Raise unless a compound is a sum of densities times sensitivities."""
     if not terms:
         raise ValueError(f"no component of the compound has any flux: {compound}")
     for term in terms:

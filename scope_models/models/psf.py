@@ -1,34 +1,139 @@
-"""Point spread functions: the light of a star before the pixel, as densities."""
+"""Point spread functions, and the response within pixels."""
 
 from functools import partial, reduce
 from operator import add
 from typing import ClassVar
 
 import numpy as np
-from astropy.modeling import Parameter
+from astropy import units as u
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
+from numpy.polynomial.polynomial import polyval
 from scipy.special import roots_genlaguerre
 
+from scope_models._arrays import is_angle, plain_array, without_unit
 from scope_models._checks import checked_integer, checked_number
-from scope_models.models import _gaussian
-from scope_models.models._axis import axis_table, hermite_functions
-from scope_models.models._parameters import Domain, StarModel, gaussian_box, make_coefficients
-from scope_models.models._terms import ClosedForm, one_number, pixels_of
+from scope_models.models._gaussian import (
+    flattened,
+    gaussian_pixels,
+    hermite_functions,
+    separable_images,
+    slope_pairs,
+)
+from scope_models.models.integration import ClosedForm, collected, one_number, pixels_of
 
-__all__ = ["BivariateGaussianPSF", "GaussHermitePSF", "moffat_psf"]
+__all__ = [
+    "BivariateGaussianPSF", "DiffusionSensitivity", "GaussHermitePSF", "SensitivityPolynomial",
+    "moffat_psf",
+]  # fmt: skip
 
 _LEAST_WIDTH = float(np.finfo(np.float32).tiny)
 _RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
-# Components of a Moffat PSF with less of its flux are left out.
+# Of the flux, in a component of a Moffat PSF.
 _LEAST_FRACTION = 1e-5
-# Positions whose tables fit into the processor's cache together.
-_BATCH = 512
+
+_TESTS = {
+    "finite": np.isfinite,
+    "positive": lambda value: np.isfinite(value) & (value > 0),
+    "inside (-1, 1)": lambda value: np.abs(value) < 1,
+    "from -1 to 1": lambda value: np.abs(value) <= 1,
+    "at least 0": lambda value: np.isfinite(value) & (value >= 0),
+    "at least 0 and below 1": lambda value: (value >= 0) & (value < 1),
+}
+
+
+class StarModel(Fittable2DModel):
+    """A star: its flux and position, and their units."""
+
+    flux = Parameter(default=1.0, description="Flux of the star")
+    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
+
+    #: Whether values are fluxes of pixels, not a density.
+    pixel_integrated = False
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        check_model_parameters(self)
+        self._check_units()
+
+    def _check_units(self):
+        """Raise unless lengths are pixels or angles; others but the flux have no unit."""
+        for name in self.param_names[1:]:
+            parameter, is_length = getattr(self, name), name in self._lengths
+            if parameter.unit is not None and not (is_length and is_angle(parameter.unit)):
+                plain_array(parameter.quantity, u.pix if is_length else u.one, name)
+
+    @property
+    def _lengths(self):
+        """Parameters in the unit of x and y."""
+        kinds = getattr(self, "parameter_kinds", {})
+        return ("x_0", "y_0", *(n for n, kind in kinds.items() if kind in {"width", "offset"}))
+
+    @property
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        return unit and {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit, other = (inputs_unit[name] for name in self.inputs)
+        if unit != other:
+            raise UnitsError("units of x and y must be the same")
+        flux = outputs_unit[self.outputs[0]] * (1 if self.pixel_integrated else unit**2)
+        return {"flux": flux, **dict.fromkeys(self._lengths, unit)}
+
+
+def make_parameters(model, parameters):
+    """Give a model own parameters before its ``__init__``."""
+    for parameter in parameters:
+        parameter.model = model
+        model.__dict__[parameter.name] = parameter
+    names = (parameter.name for parameter in parameters)
+    model.param_names = tuple(dict.fromkeys((*model.param_names, *names)))
+
+
+def make_coefficients(model, order, function):
+    """Give a model the coefficients ``c_k_m`` up to an order k + m; return all (k, m)."""
+    places = [(n - m, m) for n in range(1, order + 1) for m in range(n + 1)]
+    text = f"Coefficient of {function}_{{}} {function}_{{}}"
+    coefficients = [
+        Parameter(f"c_{k}_{m}", default=0.0, description=text.format(k, m)) for k, m in places
+    ]
+    make_parameters(model, coefficients)
+    return places
+
+
+def gaussian_box(model, factor):
+    """Rectangle of so many sigma_x and sigma_y to either side."""
+    d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
+    return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
+
+
+def check_domain(name, condition, _model, value):
+    """Raise where a value of a parameter lies outside its domain; the model is not used."""
+    value = np.asarray(without_unit(value), dtype=float)
+    wrong = ~_TESTS[condition](value)
+    if np.any(wrong):
+        raise ValueError(f"`{name}` must be {condition}, got {value[wrong].flat[0]}")
+
+
+def check_model_parameters(model):
+    """Raise where a parameter of a model is not finite or outside its domain."""
+    for name in model.param_names:
+        parameter = getattr(model, name)
+        check_domain(name, "finite", model, parameter.value)
+        parameter.validate(parameter.value)
+        # photutils sets all parameters to 1 for a moment.
+        if getattr(model, "parameter_kinds", {}).get(name) == "correlation":
+            check_domain(name, "inside (-1, 1)", model, parameter.value)
 
 
 def _width(axis):
     """Return the parameter of a width."""
     text = f"Standard deviation along {axis} (pixel)"
     parameter = Parameter(default=0.5, bounds=(_LEAST_WIDTH, None), description=text)
-    return parameter.validator(Domain(f"sigma_{axis}", "positive"))
+    return parameter.validator(partial(check_domain, f"sigma_{axis}", "positive"))
 
 
 class BivariateGaussianPSF(StarModel):
@@ -41,20 +146,18 @@ class BivariateGaussianPSF(StarModel):
         \qquad z_x = \frac{x - x_0}{\sigma_x}, \quad z_y = \frac{y - y_0}{\sigma_y}.
 
     The density is the light before the pixel; `~scope_models.integrate_pixels` and
-    `~scope_models.PRF` integrate it. A sum of several is a PSF of several components whose total
-    flux is the sum of theirs. Equation 3 of Saunders et al. (2019) has an extra factor 1/2 on the
-    two squared terms in print, with which it neither integrates to its amplitude nor is positive
-    definite for :math:`|\rho| \ge 1/2`; this is the standard density.
+    `~scope_models.PRF` integrate it. Equation 3 of Saunders et al. (2019) has an extra factor 1/2
+    on the two squared terms in print; this is the standard density.
 
     Parameters
     ----------
     flux : float or `~astropy.units.Quantity`
-        Integral of the density over the plane, usually in electrons per second.
+        Integral of the density over the plane.
     x_0, y_0 : float or `~astropy.units.Quantity`
         Position of the star in pixels; x is the column, y the row.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
-        Standard deviations along the axes in pixels. Angles are for the ``psf`` of a
-        `~scope_models.Detector`, which has a pixel scale.
+        Standard deviations along the axes in pixels; in angles only for the ``psf`` of a
+        `~scope_models.Detector`.
     rho : float
         Correlation coefficient.
     **kwargs
@@ -65,14 +168,9 @@ class BivariateGaussianPSF(StarModel):
     ValueError
         If a parameter is not finite, sigma_x or sigma_y is not positive, or ``|rho| >= 1``.
 
-    Notes
-    -----
-    Parameters of shape ``(n,)`` make `~scope_models.integrate_pixels` return ``n`` images.
-
     References
     ----------
-    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
-    Characterization with Pixel Level De-correlation", equation 3 (corrected).
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 3 (corrected).
 
     Examples
     --------
@@ -84,7 +182,7 @@ class BivariateGaussianPSF(StarModel):
 
     sigma_x, sigma_y = _width("x"), _width("y")
     rho = Parameter(description="Correlation coefficient", default=0.0, bounds=_RHO)
-    rho.validator(Domain("rho", "from -1 to 1"))
+    rho.validator(partial(check_domain, "rho", "from -1 to 1"))
 
     #: Kinds of the parameters in a fit.
     parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
@@ -124,13 +222,13 @@ class BivariateGaussianPSF(StarModel):
 
     @staticmethod
     def closed_form(values):
-        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
+        """Return the integrals over pixels in closed form."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
-        return ClosedForm(values["flux"], parameters, _gaussian.gaussian_pixels, (*names, "rho"))
+        return ClosedForm(values["flux"], parameters, gaussian_pixels, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
-        """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
+        """Rectangle outside which less than 2e-10 of the flux lies."""
         return gaussian_box(self, factor)
 
 
@@ -145,17 +243,15 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
         \frac{1}{\Gamma(\beta)} \int_0^\infty t^{\beta - 1} e^{-t (1 + r^2 / \alpha^2)}\, dt ,
         \qquad \mathrm{FWHM} = 2 \alpha \sqrt{2^{1 / \beta} - 1} ,
 
-    and Gauss-Laguerre quadrature makes a sum of it. Of the default ``beta``, eight components
-    have the flux within one FWHM of the star to 1e-5, and 0.1 percent of all flux in another
-    place, most of it beyond three FWHM. ``photutils.psf.MoffatPSF`` is the exact function.
+    and Gauss-Laguerre quadrature makes a sum of it. By default the flux within one FWHM is right to
+    1e-5, and 0.1 percent of all is elsewhere. ``photutils.psf.MoffatPSF`` is exact.
 
     Parameters
     ----------
     fwhm : float or `~astropy.units.Quantity`
         Full width at half maximum in pixels.
     beta : float, optional
-        Exponent, above 1. The default is that of turbulence (Trujillo et al. 2001); real images
-        often have 2.5 to 4.
+        Exponent, above 1. The default is that of turbulence; real images often have 2.5 to 4.
     n_components : int, optional
         Nodes of the quadrature; those with less than 1e-5 of the flux are left out.
 
@@ -171,7 +267,7 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
 
     References
     ----------
-    Trujillo, I. et al. 2001, MNRAS 328, 977.
+    Trujillo et al. 2001, MNRAS 328, 977.
 
     Examples
     --------
@@ -202,16 +298,14 @@ class GaussHermitePSF(StarModel):
         \qquad h_k(z) = \frac{He_k(z)}{\sqrt{k!}} \varphi(z), \quad c_{00} = 1,
 
     with :math:`z_x = (x - x_0) / \sigma_x`, the probabilists' Hermite polynomials and the normal
-    density :math:`\varphi`. Only the first term has a total flux, so that F is that of the model.
-    The functions are orthogonal, and smooth on the scale :math:`\sigma / \sqrt{N}`. The density
-    may be negative somewhere: it describes, and does not explain.
+    density :math:`\varphi`. The density may be negative somewhere.
 
     Parameters
     ----------
     flux : float or `~astropy.units.Quantity`
         Integral of the density over the plane.
     x_0, y_0 : float or `~astropy.units.Quantity`
-        Center in pixels.
+        Position of the star in pixels.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
         Widths of the first term in pixels.
     order : int, optional
@@ -278,46 +372,227 @@ class GaussHermitePSF(StarModel):
         z = np.broadcast_arrays((x - x_0) / sigma_x, (y - y_0) / sigma_y)
         tables = (hermite_functions(u.ravel(), self.order + 3) for u in z)
         x_table, y_table = (t / sigma for t, sigma in zip(tables, (sigma_x, sigma_y), strict=True))
-        pairs = self._pairs(self._matrix(coefficients), x_table, y_table, sigma_x, sigma_y)
+        weigh = partial(np.matmul, self._matrix(coefficients).T)
+        pairs = slope_pairs(x_table, y_table, sigma_x, sigma_y, weigh)
+        pairs += self._terms(None, x_table, y_table)
         unit, *parts = (np.sum(a * b, axis=0).reshape(z[0].shape) for a, b in pairs)
         return [unit, *(flux * part for part in parts)]
 
-    def _pairs(self, matrix, x_table, y_table, *widths):
-        """Tables whose products are the image of unit flux, and its derivatives."""
-        base_x, base_y = x_table[..., :-2, :], y_table[..., :-2, :]
-        pairs = _gaussian.slope_pairs(x_table, y_table, *widths, partial(np.matmul, matrix.T))
-        return [*pairs, *((base_y[..., [m], :], base_x[..., [k], :]) for k, m in self._places)]
+    def _terms(self, _part, x_table, y_table):
+        """Tables whose products are the derivatives by the coefficients."""
+        return [(y_table[..., [m], :], x_table[..., [k], :]) for k, m in self._places]
 
     def _integrals(
         self, matrix, x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y, *, derivatives=False
     ):
-        """Integrate the density of unit flux, and its derivatives, over pixels."""
-        shape, (x_0, y_0, *widths) = _gaussian.flattened((x_0, y_0, sigma_x, sigma_y))
-        n_images = len(self.param_names) if derivatives else 1
-        images = np.empty((n_images, x_0.size, y.size, x.size))
-        n = self.order + (3 if derivatives else 1)
-        x_axis = axis_table(x, x_0, widths[0], np.atleast_1d(along_x), n)
-        y_axis = axis_table(y, y_0, widths[1], np.atleast_1d(along_y), n)
-        for start in range(0, x_0.size, _BATCH):
-            part = slice(start, start + _BATCH)
-            x_table, y_table = x_axis(part), y_axis(part)
-            if derivatives:
-                wide = (w if w.size == 1 else w[part, np.newaxis, np.newaxis] for w in widths)
-                pairs = self._pairs(matrix, x_table, y_table, *wide)
-            else:
-                pairs = [(matrix.T @ y_table, x_table)]
-            for pair, image in zip(pairs, images, strict=True):
-                _gaussian.contract(*pair, image[part])
-        images = images.reshape((n_images, *shape, y.size, x.size))
+        """Integrals of the density of unit flux, and their derivatives."""
+        shape, flat = flattened((x_0, y_0, sigma_x, sigma_y))
+        images = np.empty(
+            (len(self.param_names) if derivatives else 1, flat[0].size, y.size, x.size)
+        )
+        polynomials = np.atleast_1d(along_x), np.atleast_1d(along_y)
+        separable_images(
+            x,
+            y,
+            flat,
+            polynomials,
+            self.order + 1,
+            lambda _part, table: matrix.T @ table,
+            self._terms,
+            images,
+        )
+        images = images.reshape((len(images), *shape, y.size, x.size))
         return images if derivatives else images[0]
 
     def closed_form(self, values):
-        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
+        """Return the integrals over pixels in closed form."""
         parameters = tuple(pixels_of(values[name]) for name in self.param_names[1:5])
         matrix = self._matrix([values[name] for name in self.param_names[5:]])
         integrals = partial(self._integrals, matrix)
         return ClosedForm(values["flux"], parameters, integrals, self.param_names[1:])
 
     def bounding_box(self, factor=6.5):
-        """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
+        """Rectangle outside which hardly any flux lies."""
         return gaussian_box(self, factor + np.sqrt(self.order))
+
+
+def _offset(position):
+    """Offset from the center of the pixel that holds the position, in [-1/2, 1/2)."""
+    position = plain_array(position, u.pix, "position")
+    return position - np.floor(position + 0.5)
+
+
+class SensitivityPolynomial(Fittable2DModel):
+    r"""Response within each pixel: a polynomial in x times a polynomial in y.
+
+    .. math:: s(x, y) = \sum_n a_{x,n} u^n \; \sum_m a_{y,m} v^m,
+
+    where (u, v), each in [-1/2, 1/2), is the offset of (x, y) from the center of the pixel that
+    holds it: equation 2 of Saunders et al. (2019) without the factor :math:`b_i` of the pixel,
+    which is the interpixel map of a `~scope_models.Detector`.
+
+    Parameters
+    ----------
+    x_coefficients, y_coefficients : sequence of float, optional
+        Coefficients along the column and along the row, the constants first, which become the
+        parameters ``ax0, ax1, ...`` and ``ay0, ay1, ...``. The defaults, the paper's, lose 2.48 %
+        from the center to the corner of a pixel.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
+
+    Raises
+    ------
+    ValueError
+        If a coefficient is not finite, or there is none.
+
+    References
+    ----------
+    Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 2.
+
+    Examples
+    --------
+    >>> from scope_models import SensitivityPolynomial
+    >>> sensitivity = SensitivityPolynomial()
+    >>> print(f"{sensitivity(3, 7):.4f} {sensitivity(2.5, 7.5):.4f}")
+    1.0000 0.9752
+    >>> sensitivity.param_names
+    ('ax0', 'ax1', 'ax2', 'ay0', 'ay1', 'ay2')
+    """
+
+    def __init__(self, x_coefficients=(1, 0, -0.05), y_coefficients=(1, 0, -0.05), **kwargs):
+        values, parameters = {}, []
+        for axis, offset, given in (("x", "u", x_coefficients), ("y", "v", y_coefficients)):
+            name = f"{axis}_coefficients"
+            row = plain_array(given, u.one, name)
+            if row.ndim != 1 or row.size == 0:
+                wanted = "a sequence of at least one number"
+                raise ValueError(f"`{name}` must be {wanted}, got shape {row.shape}")
+            for n, value in enumerate(row):
+                text = f"Coefficient of {offset}^{n}"
+                parameters.append(Parameter(f"a{axis}{n}", description=text))
+                values[f"a{axis}{n}"] = value
+        self._n_x = len(values) - row.size
+        make_parameters(self, parameters)
+        super().__init__(**values, **kwargs)
+        check_model_parameters(self)
+
+    @property
+    def x_coefficients(self):
+        """Coefficients along x, the constant first (tuple of float)."""
+        return tuple(self.parameters[: self._n_x].tolist())
+
+    @property
+    def y_coefficients(self):
+        """Coefficients along y, the constant first (tuple of float)."""
+        return tuple(self.parameters[self._n_x :].tolist())
+
+    @property
+    def powers(self):
+        """Axis ("x" or "y") and power of each coefficient, by name (dict)."""
+        return {name: (name[1], int(name[2:])) for name in self.param_names}
+
+    def evaluate(self, x, y, *coefficients):
+        """Response at the positions, dimensionless."""
+        along_x = polyval(_offset(x), coefficients[: self._n_x], tensor=False)
+        return along_x * polyval(_offset(y), coefficients[self._n_x :], tensor=False)
+
+    def fit_deriv(self, x, y, *coefficients):
+        """Derivatives of the response with respect to the parameters, in their order."""
+        u, v = _offset(x), _offset(y)
+        along_x = polyval(u, coefficients[: self._n_x], tensor=False)
+        along_y = polyval(v, coefficients[self._n_x :], tensor=False)
+        n_y = len(coefficients) - self._n_x
+        return [u**n * along_y for n in range(self._n_x)] + [along_x * v**n for n in range(n_y)]
+
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
+        return {}
+
+
+class DiffusionSensitivity(Fittable2DModel):
+    r"""Response of pixels that share charge: a box convolved with a normal distribution.
+
+    .. math:: s(u, v) = c(u)\, c(v), \qquad
+              c(u) = \frac{1}{2}\left[\mathrm{erf}\frac{u + 1/2}{\sqrt{2}\,\sigma_d} -
+              \mathrm{erf}\frac{u - 1/2}{\sqrt{2}\,\sigma_d}\right]
+
+    is the part of the charge from the offset (u, v) that a pixel collects. Its neighbors collect
+    the rest: a sum of all pixels does not depend on where the star is.
+
+    Parameters
+    ----------
+    sigma_d : float or `~astropy.units.Quantity`, optional
+        Standard deviation of the diffusion along each axis, pixels; 0 for none.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
+
+    Raises
+    ------
+    ValueError
+        If sigma_d is negative or not finite.
+
+    Notes
+    -----
+    The integral over pixels of a density times this response is that of the density convolved with
+    the diffusion. A Gaussian becomes a wider one: `~scope_models.fit_tpf` holds sigma_d where a
+    width is free. A `~scope_models.SensitivityPolynomial` in the product acts before the charge
+    diffuses.
+
+    Evaluated, the model is the part that the pixel which holds (x, y) keeps.
+
+    Examples
+    --------
+    >>> from scope_models.models import BivariateGaussianPSF, DiffusionSensitivity, integrate_pixels
+    >>> sensitivity = DiffusionSensitivity(0.15)
+    >>> print(f"{sensitivity(3, 7):.4f} {sensitivity(2.5, 7):.4f}")
+    0.9983 0.4996
+    >>> image = integrate_pixels(BivariateGaussianPSF(1, 3, 3) * sensitivity, (7, 7))
+    >>> print(f"{image.sum():.6f}")
+    1.000000
+    """
+
+    sigma_d = Parameter(
+        default=0.1, bounds=(0.0, None), description="Standard deviation of the diffusion (pixel)"
+    )
+    sigma_d.validator(partial(check_domain, "sigma_d", "at least 0"))
+
+    def __init__(self, sigma_d=sigma_d.default, **kwargs):
+        super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)
+        check_model_parameters(self)
+
+    #: The response is not a polynomial.
+    powers: ClassVar = {}
+
+    #: Kind of the parameter in a fit.
+    parameter_kinds: ClassVar = {"sigma_d": "diffusion"}
+
+    def response(self, dx, dy):
+        """Part of the charge that a pixel collects.
+
+        Parameters
+        ----------
+        dx, dy : array_like or `~astropy.units.Quantity`
+            Where the charge is set free, from the pixel's center, pixels.
+
+        Returns
+        -------
+        part : `~numpy.ndarray`
+            Of the common shape.
+        """
+        sigma = float(self.sigma_d.value)
+        dx, dy = plain_array(dx, u.pix, "dx"), plain_array(dy, u.pix, "dy")
+        return collected(dx, sigma)[0] * collected(dy, sigma)[0]
+
+    def evaluate(self, x, y, sigma_d):
+        """Part of the charge that stays in the pixel where it is set free."""
+        sigma = float(np.ravel(sigma_d)[0])
+        return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
+
+    def fit_deriv(self, x, y, sigma_d):
+        """Derivatives of the response with respect to the parameters, a list of one array."""
+        sigma = float(np.ravel(sigma_d)[0])
+        along_x, by_x = collected(_offset(x), sigma)
+        along_y, by_y = collected(_offset(y), sigma)
+        return [along_x * by_y + by_x * along_y]
+
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
+        return {}

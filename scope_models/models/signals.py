@@ -1,8 +1,10 @@
 """Signals: relative flux of a star against time, as one-dimensional astropy models.
 
-A signal is 1 where nothing happens, or has the mean 1. Signals compose: ``planet_b * planet_c *
-spots``.
+A signal is 1 where nothing happens, or has the mean 1.
 """
+
+from functools import partial
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -18,17 +20,17 @@ from scipy.signal import savgol_coeffs
 from scope_models._arrays import LARGEST_DAY, plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
-from scope_models.models._parameters import Domain, check_model_parameters, value_of
+from scope_models.models.integration import value_of
+from scope_models.models.psf import check_domain, check_model_parameters
 
 __all__ = ["TransitModel", "sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
 # Gauss-Legendre nodes over an exposure.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(101)
-_ORBIT = ("period", "a", "inc", "ecc", "omega")
 _DENSITY = u.g / u.cm**3
 _UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 _PPM = u.Unit(1e-6)
-# Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
+# Savitzky-Golay filter of lightkurve's CDPP: span (101 long cadences) and order.
 _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
 
@@ -37,9 +39,8 @@ class TransitModel(Fittable1DModel):
 
     The star is a disc with quadratic limb darkening,
     :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque disc on a Keplerian
-    orbit. The drop is the exact integral over the overlap of the discs (exoplanet-core, Agol et al.
-    2020 [1]_), averaged over the exposure by Gauss-Legendre quadrature with 101 nodes: the average
-    is within 1 ppm of the exact one for drops up to 2.5 % and exposures up to an hour.
+    orbit. The drop is exact (exoplanet-core [1]_); its average over the exposure, by 101 nodes, is
+    within 1 ppm for drops up to 2.5 % and exposures up to an hour.
 
     Parameters
     ----------
@@ -56,20 +57,15 @@ class TransitModel(Fittable1DModel):
     u1, u2 : float
         Coefficients of quadratic limb darkening.
     exposure_time : float or `~astropy.units.Quantity`, optional
-        Length of an exposure in days, centered on each time; 0 gives
-        instantaneous values. An attribute, not a fitted parameter.
-    **kwargs : dict
-        Name, bounds, fixed and so on, see `~astropy.modeling.Model`.
+        Length of an exposure in days, centered on each time. An attribute, not a fitted parameter.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
 
     Raises
     ------
     ValueError
         If a parameter or the exposure time is outside its domain, also when it is set later, or
-        its unit does not convert.
-
-    See Also
-    --------
-    scope_models.models.sinusoidal_signal, scope_models.models.stochastic_signal
+        has another unit.
 
     References
     ----------
@@ -82,12 +78,6 @@ class TransitModel(Fittable1DModel):
     >>> planet = TransitModel(period=3, t0=1, rp=0.1, a=9, u1=0.4, u2=0.3, exposure_time=0.0204)
     >>> print(np.round(planet(np.array([0.0, 0.95, 1.0])), 5))
     [1.      0.99451 0.9878 ]
-
-    Two planets are a product:
-
-    >>> both = planet * TransitModel(period=7, t0=1, rp=0.05, a=16)
-    >>> print(round(float(both(1.0)), 5))
-    0.98495
     """
 
     period = Parameter(default=10.0, bounds=(1e-6, None), description="orbital period in days")
@@ -99,10 +89,10 @@ class TransitModel(Fittable1DModel):
     omega = Parameter(default=90.0, description="argument of periastron in degrees")
     u1 = Parameter(default=0.3, description="linear limb-darkening coefficient")
     u2 = Parameter(default=0.2, description="quadratic limb-darkening coefficient")
-    period.validator(Domain("period", "positive"))
-    rp.validator(Domain("rp", "at least 0"))
-    a.validator(Domain("a", "positive"))
-    ecc.validator(Domain("ecc", "at least 0 and below 1"))
+    period.validator(partial(check_domain, "period", "positive"))
+    rp.validator(partial(check_domain, "rp", "at least 0"))
+    a.validator(partial(check_domain, "a", "positive"))
+    ecc.validator(partial(check_domain, "ecc", "at least 0 and below 1"))
 
     _input_units_allow_dimensionless = True
 
@@ -119,7 +109,7 @@ class TransitModel(Fittable1DModel):
 
     @property
     def arguments(self):
-        """Arguments of an equal model, without its parameters (dict)."""
+        """Arguments of an equal model (dict)."""
         return {"exposure_time": self.exposure_time}
 
     def __call__(self, *args, **kwargs):
@@ -128,21 +118,23 @@ class TransitModel(Fittable1DModel):
             raise TypeError("times must be days with the zero of `t0`, as `time.value`, got a Time")
         return super().__call__(*args, **kwargs)
 
-    def _in_units(self):
-        """Return the value of each parameter in its documented unit."""
-        return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}
+    def _in_units(self, *values):
+        """Return the parameters, or values of them, in their documented units."""
+        values = values or [value_of(getattr(self, name)) for name in self.param_names]
+        given = zip(self.param_names, values, strict=True)
+        plain = {name: plain_array(v, _UNITS.get(name, u.one), name).item() for name, v in given}
+        return SimpleNamespace(**plain)
 
     @classmethod
     def from_depth_duration(
         cls, depth, duration, period, t0=0.0, *, b=0.0, u1=0.3, u2=0.2, exposure_time=0.0
     ):
-        """Make a transit on a circular orbit from what is seen of it.
+        """Make a transit on a circular orbit.
 
         Parameters
         ----------
         depth : float or `~astropy.units.Quantity`
-            Relative drop at mid-transit with limb darkening and for a short exposure, between 0
-            and 1.
+            Relative drop at mid-transit, limb darkened and for a short exposure, between 0 and 1.
         duration, period : float or `~astropy.units.Quantity`
             Time from first to fourth contact, and orbital period, in days.
         t0 : float or `~astropy.units.Quantity`, optional
@@ -157,7 +149,7 @@ class TransitModel(Fittable1DModel):
         Returns
         -------
         `TransitModel`
-            A model with this depth and duration.
+            The model.
 
         Raises
         ------
@@ -171,10 +163,10 @@ class TransitModel(Fittable1DModel):
         >>> print(f"{planet.depth:.4f} {planet.duration:.4f} {planet(5.0):.4f}")
         0.0100 0.5000 0.9900
         """
-        depth = plain_number(depth, u.one, "depth")
+        depth, b = plain_number(depth, u.one, "depth"), plain_number(b, u.one, "b")
+        u1, u2 = plain_number(u1, u.one, "u1"), plain_number(u2, u.one, "u2")
         duration, t0 = plain_number(duration, u.day, "duration"), plain_number(t0, u.day, "t0")
         period = checked_number("period", period, u.day, positive=True)
-        b, u1, u2 = (plain_number(v, u.one, n) for v, n in ((b, "b"), (u1, "u1"), (u2, "u2")))
         _require(0 < depth < 1, "depth", "between 0 and 1", depth)
         _require(0 < duration < period / 2, "duration", "above 0 and below half a period", duration)
         _require(0 <= b < 1, "b", "at least 0 and below 1", b)
@@ -192,8 +184,8 @@ class TransitModel(Fittable1DModel):
     ):  # fmt: skip
         r"""Make a transit from `a` or the star's density, and `inc` or `b`.
 
-        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, and the impact parameter the
-        inclination by :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
+        The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, the impact parameter
+        :math:`b = a \cos i\, (1 - e^2) / (1 + e \sin\omega)`.
 
         Parameters
         ----------
@@ -224,8 +216,8 @@ class TransitModel(Fittable1DModel):
         Raises
         ------
         ValueError
-            If an argument is outside its domain, or not exactly one of `a`
-            and `density`, or both `inc` and `b` are given.
+            If an argument is outside its domain, or not exactly one of `a` and `density`, or both
+            `inc` and `b` are given.
 
         Examples
         --------
@@ -258,71 +250,67 @@ class TransitModel(Fittable1DModel):
 
     @property
     def impact_parameter(self):
-        """Distance of the planet from the star's center at `t0`, in stellar radii."""
+        """Distance of the centers at `t0`, in stellar radii."""
         p = self._in_units()
-        cosine, sine = np.cos(np.radians(p["inc"])), np.sin(np.radians(p["omega"]))
-        return float(p["a"] * cosine * (1 - p["ecc"] ** 2) / (1 + p["ecc"] * sine))
+        cosine, sine = np.cos(np.radians(p.inc)), np.sin(np.radians(p.omega))
+        return float(p.a * cosine * (1 - p.ecc**2) / (1 + p.ecc * sine))
 
     @property
     def depth(self):
         """Relative drop at `t0` for a short exposure."""
         p = self._in_units()
-        return float(-_drop(abs(self.impact_parameter), p["rp"], p["u1"], p["u2"]))
+        return float(-_drop(abs(self.impact_parameter), p.rp, p.u1, p.u2))
 
     @property
     def duration(self):
         """Time from first to fourth contact in days, 0 without a transit."""
         p = self._in_units()
-        reach = 1 + p["rp"]
-        args = tuple(p[name] for name in _ORBIT)
+        reach = 1 + p.rp
 
-        def separation(time):
-            return _separation(np.array([time]), *args)[0] - reach
+        def beyond(time):
+            return _separation(np.array([time]), p)[0] - reach
 
-        if not separation(0.0) < 0:
+        if not beyond(0.0) < 0:
             return 0.0
-        step = reach / _fastest(*args[:2], args[3])
         contacts = []
-        for sign in (-1, 1):
-            end = sign * step
-            while separation(end) < 0:
-                end += sign * step
-            contacts.append(brentq(separation, end - sign * step, end, xtol=1e-12))
+        for step in np.array([-1, 1]) * reach / _fastest(p):
+            end = step
+            while beyond(end) < 0:
+                end += step
+            contacts.append(brentq(beyond, end - step, end, xtol=1e-12))
         return contacts[1] - contacts[0]
 
     @property
     def stellar_density(self):
         """Mean density of the star in g/cm3 that the period and `a` imply."""
         p = self._in_units()
-        density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
+        density = 3 * np.pi * p.a**3 / (constants.G * (p.period * u.day) ** 2)
         return float(density.to_value(_DENSITY))
 
     @property
     def input_units(self):
-        """Unit of times: days; plain numbers are taken as days."""
+        """Unit of times: days, also of plain numbers."""
         return {self.inputs[0]: u.day}
 
     def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
-        """Relative flux, 1 outside transits, at times of mid-exposure in days, of any shape."""
-        given = zip(self.param_names, (period, t0, rp, a, inc, ecc, omega, u1, u2), strict=True)
-        p = {name: _number(name, value) for name, value in given}
-        _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
+        """Relative flux at times of mid-exposure in days, of any shape."""
+        p = self._in_units(period, t0, rp, a, inc, ecc, omega, u1, u2)
+        _require(p.rp >= 0, "rp", "at least 0", p.rp)  # also where `rp.value` was set
         x = plain_array(x, u.day, "x")
-        if p["t0"] > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
-            raise ValueError(f"`t0` must have the zero of the times, got the date {p['t0']:.1f}")
-        orbit = tuple(p[name] for name in _ORBIT)
-        time = x.ravel() - p["t0"]
+        if p.t0 > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
+            raise ValueError(f"`t0` must have the zero of the times, got the date {p.t0:.1f}")
+        time = x.ravel() - p.t0
         flux = np.where(np.isfinite(time), 1.0, np.nan)
-        # no cadence is lost: the planet cannot move farther within half an exposure
-        travel = _fastest(p["period"], p["a"], p["ecc"]) * self.exposure_time / 2
-        near = np.flatnonzero(_separation(time, *orbit, margin=travel) < 1 + p["rp"] + travel)
+        # The farthest that the planet moves within half an exposure.
+        travel = _fastest(p) * self.exposure_time / 2
+        near = np.flatnonzero(_separation(time, p, margin=travel) < 1 + p.rp + travel)
         if near.size:
             nodes, weights = (_NODES, _WEIGHTS) if self.exposure_time > 0 else np.array([[0], [2]])
             inner = time[near, np.newaxis] + self.exposure_time / 2 * nodes
-            drop = _drop(_separation(inner, *orbit), p["rp"], p["u1"], p["u2"])
+            drop = _drop(_separation(inner, p), p.rp, p.u1, p.u2)
             flux[near] = 1 + drop @ weights / 2
         return flux.reshape(x.shape)
 
@@ -332,27 +320,23 @@ def _require(condition, name, domain, value):
         raise ValueError(f"`{name}` must be {domain}, got {value}")
 
 
-def _number(name, value):
-    """Return a parameter as one plain number, from a scalar, an array of one or a Quantity."""
-    return plain_array(value, _UNITS.get(name, u.one), name).item()
+def _fastest(orbit):
+    """Speed at periastron in stellar radii per day."""
+    speed = 2 * np.pi * orbit.a / orbit.period
+    return speed * np.sqrt((1 + orbit.ecc) / (1 - orbit.ecc))
 
 
-def _fastest(period, a, ecc):
-    """Highest orbital speed (at periastron) in stellar radii per day."""
-    return 2 * np.pi * a / period * np.sqrt((1 + ecc) / (1 - ecc))
+def _separation(time, orbit, margin=0.0):
+    """Sky distance of the centers, infinite where the planet is behind by more than `margin`.
 
-
-def _separation(time, period, a, inc, ecc, omega, margin=0.0):
-    """Sky distance of the centers in stellar radii, infinite where the planet is behind.
-
-    `time` counts from conjunction; a planet less than `margin` behind is taken as in front.
+    `time` counts from conjunction; lengths are stellar radii.
     """
-    inc, omega = np.radians(inc), np.radians(omega)
+    ecc, inc, omega = orbit.ecc, np.radians(orbit.inc), np.radians(orbit.omega)
     half = np.pi / 4 - omega / 2
     anomaly = 2 * np.arctan2(np.sqrt(1 - ecc) * np.sin(half), np.sqrt(1 + ecc) * np.cos(half))
-    mean = 2 * np.pi * time / period + anomaly - ecc * np.sin(anomaly)
+    mean = 2 * np.pi * time / orbit.period + anomaly - ecc * np.sin(anomaly)
     sin_f, cos_f = kepler(np.mod(mean + np.pi, 2 * np.pi) - np.pi, ecc)
-    radius = a * (1 - ecc**2) / (1 + ecc * cos_f)
+    radius = orbit.a * (1 - ecc**2) / (1 + ecc * cos_f)
     along = cos_f * np.cos(omega) - sin_f * np.sin(omega)
     toward = sin_f * np.cos(omega) + cos_f * np.sin(omega)
     distance = radius * np.hypot(along, toward * np.cos(inc))
@@ -360,7 +344,7 @@ def _separation(time, period, a, inc, ecc, omega, margin=0.0):
 
 
 def _drop(separation, rp, u1, u2):
-    """Change of relative flux, at most 0, by a planet at a distance from the center."""
+    """Change of relative flux by a planet at a distance from the center."""
     separation = np.asarray(separation)
     drop, overlap = np.zeros(separation.shape), separation < 1 + rp
     if rp > 0 and np.any(overlap):
@@ -369,7 +353,7 @@ def _drop(separation, rp, u1, u2):
 
 
 class _OfTime:
-    """Mixin of signals: times with a unit become days, and other units are refused."""
+    """Mixin of signals: times become days, or are refused."""
 
     def evaluate(self, x, *parameters):
         return super().evaluate(plain_array(x, u.day, "time"), *parameters)
@@ -384,7 +368,7 @@ class TabulatedSignal(_OfTime, Tabular1D):
 
     @property
     def arguments(self):
-        """Arguments that make an equal signal."""
+        """Arguments of an equal model (dict)."""
         return {"points": self.points[0], "lookup_table": self.lookup_table}
 
 
@@ -403,7 +387,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     Returns
     -------
     `~astropy.modeling.CompoundModel`
-        ``Const1D + Sine1D``, which astropy fits and multiplies.
+        ``Const1D + Sine1D``.
 
     Raises
     ------
@@ -454,7 +438,7 @@ def tabulated_signal(time, flux):
         raise ValueError(f"`flux` must have the shape {time.shape} of `time`, got {flux.shape}")
     if not (np.isfinite(flux).all() and flux.min() >= 0):
         raise ValueError("`flux` must be finite and not negative")
-    # one more point on either side, so far away that no time lies beyond it
+    # On either side a point that no time lies beyond.
     points = np.concatenate([[-1e12], time, [1e12]])
     table = np.concatenate([flux[:1], flux, flux[-1:]])
     return TabulatedSignal(points, table, method="linear")
@@ -465,22 +449,19 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
     The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
     (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
-    low frequency and falls as the fourth power of the frequency, as granulation's does. It is
-    scaled so that the root mean square of lightkurve's CDPP is `cdpp`: the variance of its running
-    mean after the Savitzky-Golay filter follows from the covariance. The estimator's clipping and
-    the edges of the filter raise its mean by up to 3 %.
+    low frequency and falls as the fourth power of the frequency, as granulation's does. Clipping
+    and edges of lightkurve's estimator raise the mean CDPP by up to 3 %.
 
     Parameters
     ----------
     time : array_like or `~astropy.units.Quantity`
-        Times ``(n,)`` in days, increasing, at which it is drawn; linear in
-        between, so give times as dense as the noise needs.
+        Times ``(n,)`` in days, increasing, at which it is drawn; linear in between.
     cdpp : float or `~astropy.units.Quantity`
-        Expected CDPP in ppm, in lightkurve's convention.
+        Expected CDPP in ppm.
     timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
-        Quality factor of the oscillator; well above 1 for quasi-periodic variability.
+        Its quality factor; well above 1 for quasi-periodic variability.
     duration : float or `~astropy.units.Quantity`, optional
         Time scale of the CDPP in hours.
     seed : int or `~numpy.random.Generator`, optional
@@ -489,7 +470,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     Returns
     -------
     `~astropy.modeling.models.Tabular1D`
-        The signal; a new draw for every seed.
+        The signal.
 
     Raises
     ------
@@ -523,7 +504,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
 
 def _unit_cdpp(kernel, cadence, duration):
-    """Root mean square of the filtered running mean of a process, by its covariance."""
+    """Root mean square of the filtered running mean of a process."""
     width = max(1, round(duration / 24 / cadence))
     length = max(3, 2 * int(_FILTER_DAYS / cadence // 2) + 1)
     high_pass = -savgol_coeffs(length, _FILTER_ORDER)

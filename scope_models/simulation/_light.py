@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from scope_models.effects._noise import bleed, stream
 from scope_models.effects.base import Conditions, Exposures
-from scope_models.models._axis import ROWS
+from scope_models.models._gaussian import ROWS
 from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [

@@ -17,8 +17,7 @@ from scipy.stats import norm
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models import _gaussian
-from scope_models.models._axis import axis_table
-from scope_models.models._gaussian import gaussian_pixels, n_terms, uses_series
+from scope_models.models._gaussian import axis_table, gaussian_pixels, n_terms, uses_series
 
 
 def adaptive(model, i, j, tolerance=1e-12):
