@@ -43,10 +43,7 @@ def scene_pulls(n_stars, seed):
     values |= {"ax2": -0.05, "ay2": -0.05}
     place = np.array(places) - places[0]
     offsets = {f"{a}_star_{k}": place[k][i] for k in range(1, n_stars) for i, a in enumerate("xy")}
-
-    def shared(expected):
-        return {k: (fit.values[k] - v) / fit.errors[k] for k, v in expected.items()}
-
+    pulls = {k: (fit.values[k] - v) / fit.errors[k] for k, v in (values | offsets).items()}
     some = np.linspace(0, len(fit.time) - 1, 5).astype(int)
     cadences = {}
     for k, star in enumerate((fit, *fit.neighbors)):
@@ -56,5 +53,6 @@ def scene_pulls(n_stars, seed):
             cadences[f"{name}_{k}"] = ((getattr(star, name) - expected) / error)[some].tolist()
     return {
         "n_stars": n_stars, "seed": seed, "converged": fit.converged, "chi2": fit.reduced_chi2,
-        "shared": shared(values), "star": shared(offsets), "cadence": cadences,
+        "shared": {name: pulls[name] for name in values},
+        "star": {name: pulls[name] for name in offsets}, "cadence": cadences,
     }  # fmt: skip

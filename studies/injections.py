@@ -24,7 +24,6 @@ from paper._stars import draw_star, stamp_around
 from population import catalog, moved, neighbors, spotted
 
 from scope_models import Detector, PLDCorrector, TransitModel, inject, simulate
-from scope_models.effects import mission_effects
 from scope_models.io import read_tpf
 
 DURATION, WINDOW, ORDER, DEPTHS = 0.1, 5, 3, (1e-2, 1e-3, 1e-4)
@@ -99,9 +98,9 @@ def simulated(task, *, data, cadences):
     detector = Detector.k2_calibrated(shape=shape)
     place = {"x_0": x_0, "y_0": y_0, "shift": 0.5}
     target = draw_star(rng, star["kp"], detector, **place, signal=spotted(rng)[0])
-    scene, effects = [target, *neighbors(rng, shape)], mission_effects(detector)
-    tpf = simulate(scene, detector, motion, seed=number, effects=effects).to_tpf()
-    return measure(tpf, int(star["epic"]), float(star["kp"]), rng)
+    scene = [target, *neighbors(rng, shape)]
+    observation = simulate(scene, detector, motion, seed=number, effects="mission")
+    return measure(observation.to_tpf(), int(star["epic"]), float(star["kp"]), rng)
 
 
 def real(task, *, data):

@@ -9,6 +9,7 @@ a target pixel file, reads it with astropy.io.fits, and measures without filters
 import argparse
 import tempfile
 import tomllib
+from functools import partial
 from math import erf
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +30,7 @@ SIGMA = 0.8
 NOISE = ("photon", "background", "read", "quantization")
 
 
-def law(function):
+def law(function, name=None):
     """Register a function of a folder: x, measured, error and predicted, as columns or rows."""
 
     def make(folder):
@@ -37,7 +38,7 @@ def law(function):
         columns = found if isinstance(found, tuple) else np.transpose([*found])
         return Table([*np.broadcast_arrays(*columns)], names=COLUMNS)
 
-    LAWS[function.__name__] = make
+    LAWS[name or function.__name__] = make
     return function
 
 
@@ -144,14 +145,8 @@ def jittered(folder, part):
         yield time, values[part][0], error if part == 0 else 0, values[part][1]
 
 
-@law
-def jitter_motion(folder):
-    return jittered(folder, 0)
-
-
-@law
-def jitter_width(folder):
-    return jittered(folder, 1)
+for number, title in enumerate(("jitter_motion", "jitter_width")):
+    law(partial(jittered, part=number), title)
 
 
 @law

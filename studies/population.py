@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 from _rows import arguments_of, store_rows, sweep_rows, write_csv
 from astropy.table import Table
-from k2_motion import K2MotionNoise, choose_aperture
-from paper._stars import draw_star, stamp_around
+from k2_motion import EDGE, K2MotionNoise, choose_aperture
+from paper._stars import FARTHEST, draw_star, stamp_around
 
 from scope_models import Detector, Motion, PLDCorrector, Star, simulate
-from scope_models.effects import mission_effects
 from scope_models.missions import MISSIONS
 from scope_models.models import sinusoidal_signal
 from scope_models.photometry import cdpp
@@ -29,7 +28,7 @@ BORESIGHTS = {3: (336.6653, -11.0967), 4: (59.0759, 18.6606), 5: (130.1576, 16.8
 MOTIONS = [f"poscorr/ktwo{name}_llc.fits" for name in (
     "206103150-c03", "211117077-c04", "211436265-c05", "211495446-c05"
 )] + ["k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz"]  # fmt: skip
-EDGE, FARTHEST, MAGNITUDES = 6.94, 4.0, range(11, 18)
+MAGNITUDES = range(11, 18)
 EVERY = 10  # of so many cadences one is enough for the image that chooses the aperture
 PIPELINES = ("everest2", "everest2_validation", "everest1", "k2sff", "k2sc")
 COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", "corrected")
@@ -103,14 +102,9 @@ def observe(task, *, data, scale, every):
     signal, spots = spotted(rng)
     target = draw_star(rng, mag, detector, x_0=x_0, y_0=y_0, shift=0.5, signal=signal)
     others = neighbors(rng, shape)
-    observation = simulate(
-        [target, *others], detector, motion, seed=number, effects=mission_effects(detector)
-    )
-    scene = observation.scene.replace(
-        effects=(), detector=detector.without_sensitivity(), stars=[target], motion=motion[::EVERY]
-    )
-    image = simulate(scene, noise=False).flux.mean(axis=0)
-    aperture = choose_aperture(K2MotionNoise(), observation, image)
+    observation = simulate([target, *others], detector, motion, seed=number, effects="mission")
+    alike = simulate(target, detector.without_sensitivity(), motion[::EVERY], noise=False)
+    aperture = choose_aperture(K2MotionNoise(), observation, alike.flux.mean(axis=0))
     pixels = observation.flux[(observation.quality & MISSIONS["K2"].quality.rejected) == 0]
     curves = (pixels[:, mask].sum(axis=1, dtype=float) for mask in (aperture, observation.aperture))
     raw, raw_file = (cdpp(flux, method="everest") for flux in curves)

@@ -112,8 +112,7 @@ def run(task):
     """Return the row of a star."""
     name, seed, positions = task
     regime = REGIMES[name]
-    kind = None if positions == "wrong" else positions
-    options = {"n_cadences": CADENCES, "positions": kind}
+    options = {"n_cadences": CADENCES, "positions": None if positions == "wrong" else positions}
     sky = make_sky(regime, seed, **options)
     if regime.depth:
         other = regime.replace(depth=0.0)
@@ -160,14 +159,13 @@ def rows_of(stars, found):
     if sky.regime.neighbors:
         own = compared(sky, *curves[0], dilute=False)[0]
         row |= {"amplitude": own.amplitude, "depth": own.depth, "undiluted": own.full}
-    with_transits, without = (0, 2) if sky.regime.depth else (2, 0)
-    star = stars[with_transits]
+    transits = 0 if sky.regime.depth else 2
+    star, flux, without = stars[transits], fluxes[transits], fluxes[2 - transits]
     relative = curves[0][1] / np.nanmedian(fluxes[0])
-    ratio = deviation_of(fluxes[with_transits], fluxes[without] * star.transit)
+    ratio = deviation_of(flux, without * star.transit)
     row["rest_change"] = float(np.sqrt(np.nanmean((ratio / relative)[star.transit == 1] ** 2)))
     row["injected"] = max(sky.regime.depth, other.regime.depth)
-    pair = fluxes[with_transits], fluxes[without]
-    row["depth_kept"] = depth_difference(*pair, star.true_flux, star.transit)
+    row["depth_kept"] = depth_difference(flux, without, star.true_flux, star.transit)
     first, second = (deviation_of(flux, truth) for flux in fluxes[:2])
     both = np.isfinite(first - second)
     if both.sum() < FEWEST:

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from _rows import arguments_of, store_rows, sweep_rows, write_csv
 from astropy.table import Table
+from paper._correctors import amplitude
 from paper._stars import draw_star, stamp_around
 from population import catalog, moved
 
 from scope_models import Detector, PLDCorrector, Star, simulate
-from scope_models.effects import mission_effects
 from scope_models.missions import MISSIONS
 
 LIMIT = 0.03
@@ -69,9 +69,7 @@ def quality(flux, truth):
 
     Both in the same unit; light that is added to all of `flux` does not count.
     """
-    good = np.isfinite(flux)
-    flux, truth = flux[good] - flux[good].mean(), truth[good] - truth[good].mean()
-    return flux @ truth / (truth @ truth), np.std(flux - truth) / np.ptp(truth)
+    return amplitude(flux, truth), np.nanstd(flux - truth) / np.ptp(truth[np.isfinite(flux)])
 
 
 def observe(task, *, data, cadences):
@@ -90,13 +88,12 @@ def observe(task, *, data, cadences):
     distance, angle, fainter = rng.uniform(1.5, 5), rng.uniform(0, 2 * np.pi), rng.uniform(0, 3)
     place = np.array([x_0, y_0]) + distance * np.array([np.cos(angle), np.sin(angle)])
     scene = [target] + [Star(kp + fainter, *place)] * (number % 2)
-    observation = simulate(scene, detector, motion, seed=number, effects=mission_effects(detector))
+    observation = simulate(scene, detector, motion, seed=number, effects="mission")
     corrector = PLDCorrector(observation.to_tpf())
     corrected = corrector.correct()
     aperture = np.asarray(corrector.aperture_mask, dtype=float)
     alone = observation.scene.replace(stars=[target.replace(signal=None)], effects=())
-    light = simulate(alone, noise=False).flux
-    light = np.median((light * aperture).sum(axis=(1, 2))[good])
+    light = np.median((simulate(alone, noise=False).flux * aperture).sum(axis=(1, 2))[good])
     kept = np.isin(observation.cadenceno, corrected.cadenceno)  # lightkurve drops flagged cadences
     truth = light * observation.truth.relative_flux[0, kept]
     raw, flux = corrector.original_lc.flux.value, corrected.flux.value

@@ -103,15 +103,18 @@ def curves(part, **further):
     return {label: (mag, np.array(part[name])) for name, label in names.items()}
 
 
-def score(corrector, noise, width=13):
-    """Score the last correction of a star without signal by a PLDCorrector.
+def noise_of(corrector, observation, width=13):
+    """Score the last correction by a PLDCorrector of a star without signal and flagged cadences.
 
-    `noise` is that of the sum over the aperture over its expected value. CDPP in ppm, "raw", "pld"
-    and "floor", that of the noise alone, and "residual", the ratio of the last two, each followed
-    by the convention. Mean residuals of windows of `width` cadences that the model has not seen:
-    "held_out_mad" and "held_out_rms", their scatter over that of the noise, which is white (it is
-    better known from all cadences), and "held_out_pull", in units of their predicted errors.
+    CDPP in ppm, "raw", "pld" and "floor", that of the noise alone, and "residual", the ratio of the
+    last two, each followed by the convention. Mean residuals of windows of `width` cadences that
+    the model has not seen: "held_out_mad" and "held_out_rms", their scatter over that of the noise,
+    which is white (it is better known from all cadences), and "held_out_pull", in units of their
+    predicted errors.
     """
+    mask = corrector.aperture_mask
+    expected, flux = (c[:, mask].sum(axis=1) for c in (observation.model(), observation.flux))
+    noise = (flux - expected) / np.median(expected)
     means, errors, used = corrector.held_out(width)
     floor = np.std(noise[used]) / np.sqrt(width)
     row = {"held_out_mad": float(mad_std(means) / floor)}
@@ -125,13 +128,6 @@ def score(corrector, noise, width=13):
         same = cdpp(1 + noise[good], method=method)
         row[f"residual_{method}"] = row[f"pld_{method}"] / same
     return row
-
-
-def noise_of(corrector, observation):
-    """Return the scores of the last correction of an observation without flagged cadences."""
-    mask = corrector.aperture_mask
-    expected, flux = (c[:, mask].sum(axis=1) for c in (observation.model(), observation.flux))
-    return score(corrector, (flux - expected) / np.median(expected))
 
 
 def transit_amplitude(flux, transit):
@@ -167,12 +163,11 @@ def best_setting(name, tpf, aperture):
     lowest, best = {}, None
     for setting in LIGHTKURVE_CORRECTORS[name]:
         flux = correct(name, setting, tpf, aperture)
-        if flux is None or not np.nanmedian(flux) > 0:
-            continue
-        found = {method: cdpp(flux, method=method) for method in CONVENTIONS}
-        if found["everest"] < lowest.get("everest", np.inf):
-            best = setting
-        lowest = {method: min(value, lowest.get(method, np.inf)) for method, value in found.items()}
+        if flux is not None and np.nanmedian(flux) > 0:
+            found = {method: cdpp(flux, method=method) for method in CONVENTIONS}
+            if found["everest"] < lowest.get("everest", np.inf):
+                best = setting
+            lowest = {name: min(noise, lowest.get(name, np.inf)) for name, noise in found.items()}
     return lowest, best
 
 

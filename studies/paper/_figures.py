@@ -8,7 +8,6 @@ from matplotlib.patheffects import Normal, Stroke
 from scope_models.plotting._style import given_or_new, styled
 
 MARKERS = "os^Dvp*X"
-RESIDUALS = "Residual over noise"
 
 
 @styled
@@ -31,9 +30,7 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
     for number, (label, values) in enumerate(series.items()):
         mag, cdpp, *bars = (np.asarray(value, dtype=float) for value in values)
         # As lists: matplotlib 3.10 takes the first element of arrays in a deprecated way.
-        errors = (
-            [np.maximum(d, 0).tolist() for d in (cdpp - bars[0], bars[1] - cdpp)] if bars else None
-        )
+        errors = np.maximum([cdpp - bars[0], bars[1] - cdpp], 0).tolist() if bars else None
         ax.errorbar(
             mag, cdpp, errors, color=shades[number], marker=MARKERS[number % len(MARKERS)],
             ms=4.5, mec="k", mew=0.4, lw=1.1, elinewidth=0.8, capsize=2, label=label,
@@ -52,7 +49,7 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
 
 
 def make_panels(number, columns, size, **options):
-    """Return a figure of so many panels of a size, which share what ``options`` name."""
+    """Return a figure and its panels; `size`: widths of margin and panel, heights of both (in)."""
     columns = min(columns, number)
     rows = -(-number // columns)
     options["figsize"] = size[0] + size[1] * columns, size[2] + size[3] * rows
@@ -69,30 +66,26 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None):
     `residuals` has for each label of the panels magnitudes and the noise that is left over that
     which must be there, for a last panel.
     """
-    titles = [*panels, *([RESIDUALS] if residuals else [])]
-    figure, drawn = make_panels(len(titles), 2, (0.7, 4.1, 0.3, 3.9), sharex=True)
-    axes = dict(zip(titles, drawn, strict=True))
-    first = drawn[0]
-    for title, series in panels.items():
-        if axes[title] is not first:
-            axes[title].sharey(first)
-        plot_cdpp(series, reference, limits=limits, title=title, legend=False, ax=axes[title])
+    number = len(panels) + bool(residuals)
+    figure, axes = make_panels(number, 2, (0.7, 4.1, 0.3, 3.9), sharex=True)
+    for ax, (title, series) in zip(axes, panels.items(), strict=False):
+        if ax is not axes[0]:
+            ax.sharey(axes[0])
+        plot_cdpp(series, reference, limits=limits, title=title, legend=False, ax=ax)
     if residuals:
-        ax = plot_cdpp(residuals, title=RESIDUALS, legend=False, ax=axes[RESIDUALS])
+        ax = plot_cdpp(residuals, title="Residual over noise", legend=False, ax=axes[-1])
         ax.axhline(1, color="k", lw=0.8, ls="--", zorder=0)
         ax.set(yscale="linear", ylabel="CDPP / CDPP of the noise alone", ylim=(0, None))
-    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    for number, ax in enumerate(drawn):
-        lowest = number + 2 >= len(drawn)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    for place, ax in enumerate(axes):
+        lowest = place + 2 >= number
         ax.tick_params(labelbottom=lowest)
         ax.xaxis.label.set_visible(lowest)
     return figure
 
 
 @styled
-def plot_map(
-    table, name, rows, columns, *, label, text=".2f", norm=None, title="", ax=None
-):  # fmt: skip
+def plot_map(table, name, rows, columns, *, label, text=".2f", norm=None, title="", ax=None):
     """Draw a column of a table as a map over two others, with the number in each cell.
 
     `rows` and `columns` are names and labels of the others; the lowest value is the lowest row.

@@ -11,6 +11,7 @@ six series of a star are computed once; the noise for any :math:`(a_2, \beta)` c
 """
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 from scipy.special import erf, erfinv
 
@@ -36,7 +37,8 @@ def winged_psf(fraction):
     square, outside = (_DIAMETER / 2) ** 2, 0.05
     for _ in range(100):  # the core matters little outside the circle, so that this converges
         wings = np.sqrt(square / (2 * np.log(fraction / outside)))
-        rest = (_BRIGHTEST - fraction * _central(wings)) / (1 - fraction)
+        central = erf(0.5 / (np.sqrt(2) * wings)) ** 2  # part of the wings in the brightest pixel
+        rest = (_BRIGHTEST - fraction * central) / (1 - fraction)
         core = 0.5 / (np.sqrt(2) * erfinv(np.sqrt(rest)))
         outside = 0.05 - (1 - fraction) * np.exp(-square / (2 * core**2))
     return BivariateGaussianPSF(
@@ -44,20 +46,12 @@ def winged_psf(fraction):
     ) + BivariateGaussianPSF(fraction, sigma_x=float(wings), sigma_y=float(wings))
 
 
-def _central(sigma):
-    """Return the part of a round Gaussian in the pixel on which it is centered."""
-    return erf(0.5 / (np.sqrt(2) * sigma)) ** 2
-
-
 def everest_noise(flux):
     """Return the CDPP (ppm) of light curves, (..., n_cadences), as EVEREST's without clipping."""
     flux = flux / np.median(flux, axis=-1, keepdims=True)
     residual = flux - savgol_filter(flux, _WINDOW, 2, axis=-1)
-    pad = [(0, 0)] * (flux.ndim - 1) + [(1, 0)]
-    first, second = (np.cumsum(np.pad(r, pad), axis=-1) for r in (residual, residual**2))
-    mean = (first[..., _WIDTH:] - first[..., :-_WIDTH]) / _WIDTH
-    square = (second[..., _WIDTH:] - second[..., :-_WIDTH]) / _WIDTH
-    spread = np.sqrt(np.maximum(square - mean**2, 0.0))
+    mean, square = (uniform_filter1d(values, _WIDTH) for values in (residual, residual**2))
+    spread = np.sqrt(np.maximum(square - mean**2, 0.0))[..., _WIDTH // 2 : -(_WIDTH // 2)]
     return 1e6 * np.median(spread, axis=-1) / _WIDTH**0.5
 
 

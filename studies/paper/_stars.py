@@ -10,7 +10,7 @@ from scope_models.batch import star_rng, star_seed
 from scope_models.missions import MISSIONS
 
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
-_FARTHEST = 4.0
+FARTHEST = 4.0
 DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
 
 
@@ -23,21 +23,15 @@ def draw_star(rng, mag, detector, *, x_0=None, y_0=None, shift=0.2, signal=None)
     ny, nx = detector.shape
     deviates = rng.uniform(-1.0, 1.0, 5)
     x_0, y_0 = nx // 2 if x_0 is None else x_0, ny // 2 if y_0 is None else y_0
-    psf = _varied(detector.psf, 1 + 0.1 * deviates[2:4], 0.4 * deviates[4])
-    return Star(mag, x_0 + shift * deviates[0], y_0 + shift * deviates[1], psf=psf, signal=signal)
-
-
-def _varied(psf, factors, tilt):
-    """Return a copy of a PSF with other widths and correlations."""
-    psf = psf.copy()
-    factors = dict(zip(("sigma_x", "sigma_y"), factors, strict=True))
+    psf = detector.psf.copy()
+    factors = {"sigma_x": 1 + 0.1 * deviates[2], "sigma_y": 1 + 0.1 * deviates[3]}
     for name, value in zip(psf.param_names, psf.parameters.tolist(), strict=True):
-        kind = name.rstrip("_0123456789")
+        kind = name.rstrip("_0123456789")  # without the number of a component
         if kind in factors:
             setattr(psf, name, float(value * factors[kind]))
         elif kind == "rho":
-            setattr(psf, name, float(np.clip(value + tilt, -0.95, 0.95)))
-    return psf
+            setattr(psf, name, float(np.clip(value + 0.4 * deviates[4], -0.95, 0.95)))
+    return Star(mag, x_0 + shift * deviates[0], y_0 + shift * deviates[1], psf=psf, signal=signal)
 
 
 @lru_cache(maxsize=8)
@@ -47,20 +41,17 @@ def motion_from_name(name, n_cadences=None, **options):
     It is "k2_roll", with `options` of `scope_models.Motion.k2_roll`, or the path of a target pixel
     or light-curve file, without cadences farther than 4 px from the median.
     """
-    if str(name) != "k2_roll":
-        return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
-    n = n_cadences or 1000
-    # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
-    return _usable(Motion.k2_roll(n + n // 4 + 12, **options), name)[:n]
-
-
-def _usable(motion, name):
-    """Return a motion without flagged cadences and without absurd positions."""
+    if str(name) == "k2_roll":
+        n_cadences = n_cadences or 1000
+        # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
+        motion = Motion.k2_roll(n_cadences + n_cadences // 4 + 12, **options)
+    else:
+        motion = Motion.from_file(Path(name), bad="drop")
     keep = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     if not keep.any():
         raise ValueError(f"{name}: no cadence is without a quality flag")
     x, y = (values - np.median(values[keep]) for values in (motion.x, motion.y))
-    return motion[keep & (np.hypot(x, y) < _FARTHEST)]
+    return motion[keep & (np.hypot(x, y) < FARTHEST)][:n_cadences]
 
 
 def stamp_around(motion, margin=5):

@@ -103,10 +103,7 @@ def medians(table, cell, columns, spread=()):
             low, rows[-1][name], high = percentiles(values_of(part, name))
             if name in spread:
                 rows[-1] |= {f"{name}_low": low, f"{name}_high": high}
-    summary = Table(rows)
-    for name in columns:
-        summary[name].unit = table[name].unit
-    return summary
+    return Table(rows, units={name: table[name].unit for name in columns})
 
 
 def percentiles(values):

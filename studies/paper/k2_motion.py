@@ -9,9 +9,8 @@ at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as E
 Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST 2).
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
-from _figures import plot_cdpp
+from _figures import make_panels, plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import DETECTORS, draw_star, motion_from_name, stamp_around
 from _study import cells, grid, parameters, study_of
@@ -85,17 +84,15 @@ def measure(study, task):
     observation = observe(study, task)
     detector, scene = observation.detector, observation.scene
     alike = detector.replace(interpixel=np.ones(detector.shape))
-    flat, intrapixel, systematics = (
-        simulate(scene.replace(detector=pixels), noise=False).flux
-        for pixels in (detector.without_sensitivity(), alike, detector)
-    )
+    pixels = detector.without_sensitivity(), alike, detector
+    cubes = [simulate(scene.replace(detector=each), noise=False).flux for each in pixels]
+    flat = cubes[0]
     saturated = bool(np.percentile(flat, 97.5, axis=0).max() > detector.full_flux)
     aperture = choose_aperture(study, observation, flat.mean(axis=0), saturated=saturated)
     flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
     row = {"cdpp": cdpp(flux, method="everest"), "cdpp_lightkurve": cdpp(flux)}
-    parts = noise_parts(observation, aperture)
-    row["white"] = float(np.sqrt(sum(value**2 for value in parts.values())))
-    for name, cube in zip(CONTRIBUTIONS[1:], (flat, intrapixel, systematics), strict=True):
+    row["white"] = float(np.linalg.norm([*noise_parts(observation, aperture).values()]))
+    for name, cube in zip(CONTRIBUTIONS[1:], cubes, strict=True):
         row[name] = cdpp(cube[:, aperture].sum(axis=1, dtype=float), method="everest")
     row |= {"n_pixels": int(aperture.sum()), "saturated": saturated}
     return row | {"distance": float(observation.motion.statistics().mean.value)}
@@ -129,9 +126,7 @@ def summarize(study, table):
 def draw(study, _, summary):
     """Draw our noise over that of campaign 3, and what contributes to it."""
     known = noise_band("k2_c03_raw", "K2 campaign 3")
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, (left, right) = make_panels(2, 2, (0, 5, 0, 4.6), sharex=True, sharey=True)
     series = {}
     for number, label in enumerate(study.detectors):
         values = summary[summary["detector"] == label]

@@ -126,12 +126,10 @@ def summarize(_, table):
         summary[name] = np.round(reference_noise("kepler", np.array(summary["mag"]), column), 2)
     noise = np.array(summary["pld_everest"])
     summary["over_kepler"] = noise / summary["kepler_median"]
-    limits = [
-        [ppm for multiple, faintest, ppm in LIMITS if multiple == scale and mag <= faintest]
-        for scale, mag in summary.iterrows("scale", "mag")
-    ]
-    limits = np.array([min(each, default=np.nan) for each in limits])
-    summary["below_paper"] = limits / noise
+    summary["below_paper"] = np.nan
+    for scale, faintest, ppm in LIMITS:
+        part = (summary["scale"] == scale) & (summary["mag"] <= faintest)
+        summary["below_paper"][part] = ppm / noise[part]
     summary.meta["survival"] = {
         name: dict(zip(("low", "median", "high"), percentiles(values), strict=True))
         for name in TITLES

@@ -15,9 +15,8 @@ its 10th percentiles with detector noise alone ("--fit"); compare Gilliland, R. 
 import sys
 from dataclasses import replace
 
-import matplotlib.pyplot as plt
 import numpy as np
-from _figures import plot_cdpp
+from _figures import make_panels, plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star
 from _study import cells, grid, parameters, study_of
@@ -144,9 +143,8 @@ def summarize(_, table):
 @styled
 def draw(_, stars, summary):
     """Draw our noise over Kepler's, and the ratios."""
-    figure, (top, bottom) = plt.subplots(
-        2, 1, figsize=(6.4, 6.8), sharex=True, height_ratios=(2.4, 1), layout="constrained"
-    )
+    size = 0, 6.4, 0, 3.4
+    figure, (top, bottom) = make_panels(2, 1, size, sharex=True, height_ratios=(2.4, 1))
     plot_cdpp({}, noise_band("kepler", "Kepler"), legend=False, ax=top)
     for name, part, known, marker, color, percentile, label in (
         ("cdpp", "star", "median", "s", "#d95f02", "median", "with variability"),

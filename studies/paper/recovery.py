@@ -10,14 +10,16 @@ its error deep, Kepler's threshold, and all boxes are within half a transit of t
 was found is masked, the star is de-trended again, and a transit is fitted.
 """
 
-import matplotlib.pyplot as plt
+from itertools import product
+
 import numpy as np
 from _correctors import transit_amplitude
-from _figures import plot_map
+from _figures import make_panels, plot_map
 from _search import fit_shape, flattened, isolated, search_light_curve
 from _stars import motion_from_name, observe_star
 from _study import cells, grid, medians, parameters, percentiles, study_of
 from astropy.stats import mad_std
+from matplotlib.colors import Normalize
 
 from scope_models import Detector, PLDCorrector, TransitModel
 from scope_models._arrays import values_of
@@ -68,13 +70,6 @@ def make_planet(study, task, time):
     return TransitModel.from_depth_duration(*orbit, exposure_time=EXPOSURE), duration
 
 
-def observe(study, task):
-    """Return the pixels of a star with its planet."""
-    motion = task["scale"] * motion_from_name(study.motion, study.cadences)
-    signal = make_planet(study, task, motion.time)[0] if task["depth"] else None
-    return observe_star(study, task, motion, signal=signal)
-
-
 def measure(study, task):
     """Return what is found of the planet of a star.
 
@@ -85,7 +80,9 @@ def measure(study, task):
     first de-trending leaves; and "joint_depth", fitted together with the systematics by the true
     shape. Of a recovered one "found_depth" and "found_duration", by the shape that was found.
     """
-    observation = observe(study, task)
+    motion = task["scale"] * motion_from_name(study.motion, study.cadences)
+    planet, duration = make_planet(study, task, motion.time) if task["depth"] else (None, None)
+    observation = observe_star(study, task, motion, signal=planet)
     corrector = PLDCorrector(observation.to_tpf())
     lc = corrector.correct(order=study.order)
     time, flux, found = search_light_curve(lc, *study.durations)
@@ -98,7 +95,6 @@ def measure(study, task):
     }  # fmt: skip
     if not task["depth"]:
         return row
-    planet, duration = make_planet(study, task, observation.time)
     drop, period = 1e6 * (1 - planet(time)), planet.period.value
     matches = found.matches(period, planet.t0.value, duration, np.ptp(time))
     row |= {
@@ -192,19 +188,18 @@ def by_motion(rows, threshold):
 def draw(_, __, summary):
     """Draw maps of completeness and of found over true depth: a row of panels per motion."""
     scales, mags, depths = (len(set(summary[name])) for name in ("scale", "mag", "depth"))
-    size = 1.2 + 2 * (2.0 + 0.5 * mags), scales * (1.3 + 0.3 * depths)
-    figure, axes = plt.subplots(scales, 2, figsize=size, squeeze=False, layout="constrained")
+    figure, axes = make_panels(2 * scales, 2, (1.2, 2.0 + 0.5 * mags, 0, 1.3 + 0.3 * depths))
     largest = max(0.1, np.nanmax(np.abs(np.array(summary["depth_ratio"]) - 1), initial=0.0))
     columns = (
-        ("completeness", "Completeness", plt.Normalize(0, 1)),
-        ("depth_ratio", "Found / true depth", plt.Normalize(1 - largest, 1 + largest)),
+        ("completeness", "Completeness", Normalize(0, 1)),
+        ("depth_ratio", "Found / true depth", Normalize(1 - largest, 1 + largest)),
     )
-    for row, (cell, part) in zip(axes, cells(summary, ("scale",)), strict=True):
-        for ax, (name, label, norm) in zip(row, columns, strict=True):
-            plot_map(
-                part, name, ("depth", "Depth (ppm)"), ("mag", "Kp (mag)"), label=label, norm=norm,
-                title=f"{cell['scale']:g}x motion", ax=ax,
-            )  # fmt: skip
+    panels = product(cells(summary, ("scale",)), columns)
+    for ax, ((cell, part), (name, label, norm)) in zip(axes, panels, strict=True):
+        plot_map(
+            part, name, ("depth", "Depth (ppm)"), ("mag", "Kp (mag)"), label=label, norm=norm,
+            title=f"{cell['scale']:g}x motion", ax=ax,
+        )  # fmt: skip
     return figure
 
 

@@ -9,9 +9,8 @@ the extent is the largest distance between any two positions.
 from _stars import motion_from_name
 from _study import parameters, study_of
 
-UNITS = dict.fromkeys(("mean", "std", "maximum", "extent"), "pix") | dict.fromkeys(
-    ("mean_angle", "std_angle", "maximum_angle"), "arcsec"
-)
+LENGTHS = ("mean", "std", "maximum", "extent")
+UNITS = dict.fromkeys(LENGTHS, "pix") | {f"{name}_angle": "arcsec" for name in LENGTHS[:3]}
 
 
 @parameters
@@ -36,9 +35,8 @@ def measure(study, task):
     motion = task["scale"] * motion_from_name(task["motion"], study.cadences)
     pixels = motion.statistics(study.pixel_scale)
     angles = pixels.in_arcsec()
-    names = ("mean", "std", "maximum", "extent")
-    row = {"cadences": len(motion)} | {name: getattr(pixels, name).value for name in names}
-    return row | {f"{name}_angle": getattr(angles, name).value for name in names[:3]}
+    row = {"cadences": len(motion)} | {name: getattr(pixels, name).value for name in LENGTHS}
+    return row | {f"{name}_angle": getattr(angles, name).value for name in LENGTHS[:3]}
 
 
 main = study_of("table1", Table1, tasks, measure, None, None, UNITS)
