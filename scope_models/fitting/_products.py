@@ -19,8 +19,7 @@ from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of
 from scope_models.scene._files import describe_detector, make_detector
-from scope_models.scene._motion_arrays import offsets_at
-from scope_models.scene.motion import Motion
+from scope_models.scene.motion import Motion, offsets_at
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from scope_models._arrays import plain_number
 from scope_models._values import frozen
-from scope_models.scene._motion_arrays import as_pixels
-from scope_models.scene.motion import Motion
+from scope_models.scene.motion import Motion, as_pixels
 
 __all__ = ["CommonMotion"]
 

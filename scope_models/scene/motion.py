@@ -8,16 +8,23 @@ from types import MappingProxyType
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
-from scope_models._arrays import PER_PIXEL
-from scope_models._checks import checked_integer, checked_number
+from scope_models._arrays import PER_PIXEL, plain_array, plain_time
+from scope_models._checks import checked_choice, checked_int32, checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
+from scope_models.io._light_curves import ccd_name
 from scope_models.io._opening import read_positions
-from scope_models.io.pixels import positions_of, read_pixels
-from scope_models.missions import MISSIONS
-from scope_models.scene import _motion_arrays, _storage
-from scope_models.scene._motion_arrays import MotionStatistics
+from scope_models.io.pixels import (
+    LARGEST_OFFSET,
+    place_of,
+    positions_of,
+    read_pixels,
+    usable_positions,
+)
+from scope_models.missions import MISSIONS, TIME_ZEROS
+from scope_models.scene import _files
 from scope_models.scene._pointing import (
     FailingWheels,
     GroundTracking,
@@ -38,23 +45,27 @@ __all__ = [
 
 
 _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
+# Flags of the mission that has a time format.
+_QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values()}
 _LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
 _START = "by default that of a campaign of the mission"
-_LONGER = "Number of cadences. A longer series begins like a shorter one."
+_LONGER = "A longer series begins like a shorter one."
+_BY_NAME = """cadence : str, float or Quantity, optional
+    A cadence of the mission, by its name or length in seconds.
+"""
+_INTERVAL = """cadence : float or Quantity, optional
+    Time between cadences, """
 
 
-def _rest(kind, unit="", zero="BKJD", start=_START, number=_LONGER):
-    """Return what the docstrings of generators share: all arguments if there is a unit."""
-    first = f"""Parameters
+def _given(kind, number, further="", zero="BKJD", start=_START):
+    """Return the arguments of a generator, of which some have a further one, for its docstring."""
+    return f"""Parameters
 ----------
 n_cadences : int, optional
-    {number}
-cadence : float or Quantity, optional
-    Time between cadences, {unit}.
-"""
-    return f"""{first if unit else ""}seed : int or None, optional
+    Number of {number}
+{further}seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
 start : float, Quantity or Time, optional
     Time of the first cadence, {zero}; {start}.
@@ -73,15 +84,72 @@ TypeError, ValueError
 """
 
 
+@dataclass(frozen=True)
+class MotionStatistics(Value):
+    """The row of a motion in a table of motions.
+
+    Attributes
+    ----------
+    mean, std, maximum : ~astropy.units.Quantity
+        Mean, standard deviation and maximum of the distance from the reference position, pixels.
+    extent : ~astropy.units.Quantity
+        Largest distance between any two positions, pixels.
+    pixel_scale : ~astropy.units.Quantity
+        Size of a pixel.
+    n_cadences : int
+        Number of cadences.
+
+    Examples
+    --------
+    >>> from scope_models import Motion
+    >>> Motion([0, 1], [0.0, 0.3], [0.0, 0.4]).statistics().to_table().colnames
+    ['mean', 'std', 'maximum', 'extent', 'pixel_scale', 'n_cadences']
+    """
+
+    mean: u.Quantity
+    std: u.Quantity
+    maximum: u.Quantity
+    extent: u.Quantity
+    pixel_scale: u.Quantity
+    n_cadences: int
+
+    def __str__(self):
+        unit = "px" if self.mean.unit == u.pix else str(self.mean.unit)
+        return (
+            f"{self.mean.value:.3f} +- {self.std.value:.3f} {unit}, "
+            f"max {self.maximum.value:.3f} {unit}, extent {self.extent.value:.2f} {unit}"
+        )
+
+    def in_arcsec(self):
+        """Return the same statistics as angles.
+
+        Returns
+        -------
+        MotionStatistics
+            Those with mean, std, maximum and extent in arcsec.
+        """
+        names, scale = ("mean", "std", "maximum", "extent"), u.pixel_scale(self.pixel_scale)
+        return self.replace(**{name: getattr(self, name).to(u.arcsec, scale) for name in names})
+
+    def to_table(self):
+        """Return the statistics as a table of one row, to be stacked with others.
+
+        Returns
+        -------
+        astropy.table.QTable
+            One column with its unit for each of the attributes.
+        """
+        return QTable([vars(self)])
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Motion(Value):
     """The positions of a star on the detector, cadence by cadence.
 
-    Positions are offsets from a reference position and always finite. Usually one of the class
-    methods makes the object: `from_file`, `from_tpf`, `from_arrays`, `still` or `k2_roll`.
-    ``c * motion`` scales the offsets, ``motion[a:b]`` and ``motion[mask]`` choose cadences (an
-    integer gives a motion of one cadence), and ``a + b`` joins two motions if the second one
-    begins after the first (else see `concatenate`). Two motions are equal if all their values are.
+    Positions are offsets from a reference position and always finite; class methods read or
+    generate them. ``c * motion`` scales the offsets, ``motion[a:b]``, ``motion[mask]`` and
+    ``motion[i]`` choose cadences, and ``a + b`` joins two motions if the second one begins after
+    the first (else see `concatenate`). Two motions are equal if all their values are.
 
     Parameters
     ----------
@@ -102,8 +170,8 @@ class Motion(Value):
     Raises
     ------
     ValueError
-        If there are no cadences, if the arrays differ in length, if a number is not finite, or if
-        times or cadence numbers do not increase.
+        If there are no cadences, the arrays differ in length, a number is not finite, or times or
+        cadence numbers do not increase.
     TypeError
         If flags or cadence numbers are not integers.
 
@@ -136,7 +204,7 @@ class Motion(Value):
 
     def __post_init__(self):
         given = (getattr(self, name) for name in _COLUMNS)
-        values = _motion_arrays.checked_arrays(*given, self.time_format)
+        values = checked_arrays(*given, self.time_format)
         for name, value in zip(_COLUMNS, values, strict=True):
             if not np.all(np.isfinite(value)):
                 raise ValueError(
@@ -144,7 +212,7 @@ class Motion(Value):
                     "`Motion.from_arrays` interpolates or drops such cadences"
                 )
             object.__setattr__(self, name, frozen(value))
-        _motion_arrays.check_increasing(self.time, "time")
+        check_increasing(self.time, "time")
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
     def __repr__(self):
@@ -210,12 +278,11 @@ class Motion(Value):
         time_format : {"bkjd", "btjd"}, optional
             Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
         bad : {"interpolate", "drop", "error"}, optional
-            What becomes of cadences with an unusable value. "interpolate" (the default) replaces
-            it by a straight line in cadence number between its usable neighbors (before the first
-            and after the last, positions stay and times go on at the same pace) and sets a
-            quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
-            times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
-            time. "drop" leaves the cadence out, "error" raises.
+            "interpolate" (the default) replaces unusable values by a straight line in cadence
+            number between usable neighbors (at the ends, positions stay and times go on at the
+            same pace) and sets a quality flag that lightkurve's default bitmask rejects: "manual
+            exclude" (256, in TESS times 128) for a position, "no data" (65536; in TESS times
+            "manual exclude") for a time. "drop" leaves the cadence out, "error" raises.
         meta : mapping, optional
             What is known of the source; "n_bad", the number of cadences with unusable values,
             is added to it.
@@ -230,9 +297,9 @@ class Motion(Value):
         Raises
         ------
         ValueError
-            If the arrays differ in length, if no position is usable, if times do not increase or
-            are Julian dates, if a unit does not convert, or if ``bad="error"`` and there are
-            unusable values.
+            If the arrays differ in length, no position is usable, times do not increase or are
+            Julian dates, a unit does not convert, or there are unusable values and
+            ``bad="error"``.
 
         Examples
         --------
@@ -252,7 +319,7 @@ class Motion(Value):
         if pixel_scale is not None:
             pixel_scale = _checked_scale(getattr(pixel_scale, "pixel_scale", pixel_scale))
         given = time, x, y, quality, cadenceno
-        *columns, n_bad = _motion_arrays.repair(*given, time_format, bad, pixel_scale)
+        *columns, n_bad = repair(*given, time_format, bad, pixel_scale)
         return cls(*columns, time_format, {**(meta or {}), "n_bad": n_bad})
 
     @classmethod
@@ -260,31 +327,29 @@ class Motion(Value):
         """Read the motion of a Kepler, K2 or TESS target pixel or light-curve file.
 
         The file's first table must have the columns TIME, POS_CORR1 and POS_CORR2; QUALITY (or
-        SAP_QUALITY) and CADENCENO are read if they are there. No cadence is left out because of
-        its quality flags.
+        SAP_QUALITY) and CADENCENO are read if they are there. Flagged cadences stay.
 
         Parameters
         ----------
         path : str or path-like
             The file: .fits or .fits.gz.
         bad : {"interpolate", "drop", "error"}, optional
-            What becomes of cadences with an unusable time or position: see `from_arrays`.
+            What becomes of unusable times and positions: see `from_arrays`.
         time_format : {"bkjd", "btjd"}, optional
-            Zero of the times. The default is that of the header, and "bkjd" if it has none.
+            Zero of the times; by default that of the header, and "bkjd" if it has none.
 
         Returns
         -------
         Motion
-            The motion; its ``meta`` has the header's mission, object, campaign, quarter
-            or sector, position on the sky and detector, and the name of the file.
+            The motion; its ``meta`` has the name of the file and the header's mission, object,
+            campaign, quarter or sector, position on the sky and detector.
 
         Raises
         ------
         FileNotFoundError, IsADirectoryError
             If there is no such file, or it is a folder.
         ValueError
-            If it cannot be read as a FITS file, if it lacks a column (both are named), or if its
-            columns are refused by `from_arrays`.
+            If it is no FITS file, lacks a column, or `from_arrays` refuses its columns.
 
         Examples
         --------
@@ -306,15 +371,14 @@ class Motion(Value):
     def from_tpf(cls, tpf, *, bad="interpolate"):
         """Take the motion of a lightkurve target pixel file or light curve.
 
-        The cadences are those that the object has: lightkurve leaves out cadences by their quality
-        flags when it reads a file, by default.
+        The cadences are the object's: by default lightkurve leaves out flagged ones of a file.
 
         Parameters
         ----------
         tpf : lightkurve.TargetPixelFile or lightkurve.LightCurve
             The object. Light curves have positions if they were read from archive files.
         bad : {"interpolate", "drop", "error"}, optional
-            What becomes of cadences with an unusable time or position: see `from_arrays`.
+            What becomes of unusable times and positions: see `from_arrays`.
 
         Returns
         -------
@@ -326,7 +390,7 @@ class Motion(Value):
         TypeError
             If the object has no time, or no POS_CORR1 and POS_CORR2.
         ValueError
-            If its values are refused by `from_arrays`.
+            If `from_arrays` refuses its columns.
 
         Examples
         --------
@@ -348,22 +412,21 @@ class Motion(Value):
         The positions of each star are those in its pixels, from a fit of one Gaussian and of the
         neighbors that are found, and POS_CORR where the file has it. They are an offset and a
         linear map of pointing, roll and scale of the cadence, at the star's place, with residuals
-        of Student's t: variable, saturated and crowded stars count as little as their positions
-        scatter. Stars that the motion of the others explains no better than noise are left out,
-        unless all are.
+        of Student's t: stars count the less the more their positions scatter. Stars that the
+        motion of the others explains no better than noise are left out, unless all are.
 
         Parameters
         ----------
         tpfs : lightkurve.TargetPixelFile, str or path-like, or a sequence of them
-            Files of one CCD in one campaign, quarter or sector, with the same cadences. Of files
-            of several CCDs, those of the CCD with the most files.
+            Files of one campaign, quarter or sector with the same cadences. Those of the CCD with
+            the most files are used.
 
         Returns
         -------
         scope_models.scene.common.CommonMotion
-            The motion, with errors and its function of place, about the place on the CCD where it
-            is known best. Its ``meta`` has ``stars``, the files that count, and ``left_out``, the
-            reason for each star that disagrees.
+            The motion, about the place on the CCD where it is known best. Its ``meta`` has
+            ``stars``, the files that count, and ``left_out``, the reason for each star that
+            disagrees.
 
         Raises
         ------
@@ -425,21 +488,19 @@ class Motion(Value):
         return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
 
     @classmethod
-    @documented(rest=_rest("K2Roll", start="the default is the beginning of campaign 3"))
+    @documented(
+        given=_given(
+            "K2Roll", f"long cadences. {_LONGER}", start="by default the beginning of campaign 3"
+        )
+    )
     def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
-        The parameters' defaults describe EPIC 205998445 in campaign 3, and
-        `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to given
-        statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
-        have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
-        fire have the quality flag 1048576.
+        By default it is that of EPIC 205998445 in campaign 3. The default seed is the first one for
+        which the 1000 cadences of the paper [1]_ have its row, 0.17 +- 0.12 px and at most 0.59 px,
+        within 5 %. Cadences in which thrusters fire have the quality flag 1048576.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of long cadences. A longer series begins like a shorter one.
-        {rest}
+        {given}
 
         References
         ----------
@@ -451,24 +512,19 @@ class Motion(Value):
         >>> from scope_models import Motion
         >>> print(Motion.k2_roll().statistics())
         0.170 +- 0.118 px, max 0.595 px, extent 1.07 px
-        >>> edge = Motion.k2_roll(field=(6.94, 0.0))
-        >>> print(edge.statistics())
+        >>> print(Motion.k2_roll(field=(6.94, 0.0)).statistics())
         0.247 +- 0.171 px, max 0.862 px, extent 1.56 px
         """
         return cls(**generate(K2Roll(**parameters), n_cadences, _LONG, start, seed, _K2))
 
     @classmethod
-    @documented(rest=_rest("KeplerPointing"))
+    @documented(
+        given=_given("KeplerPointing", "cadences; a quarter has about 4500 long ones.", _BY_NAME)
+    )
     def kepler(cls, n_cadences=4500, *, cadence="long", seed=1, start=_KEPLER.start, **parameters):
         """Generate the motion of a Kepler star over a quarter, by default that of Kepler-62.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences; a quarter has about 4500 long ones.
-        cadence : str, float or Quantity, optional
-            A cadence of Kepler, by its name or length in seconds.
-        {rest}
+        {given}
 
         Examples
         --------
@@ -481,17 +537,11 @@ class Motion(Value):
         return cls(**generate(KeplerPointing(**parameters), n_cadences, days, start, seed, _KEPLER))
 
     @classmethod
-    @documented(rest=_rest("TESSPointing", zero="BTJD"))
+    @documented(given=_given("TESSPointing", "cadences; by default a sector.", _BY_NAME, "BTJD"))
     def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a TESS star over a sector of two orbits.
 
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences; the default is a sector.
-        cadence : str, float or Quantity, optional
-            A cadence of TESS, by its name or length in seconds.
-        {rest}
+        {given}
 
         Examples
         --------
@@ -505,26 +555,23 @@ class Motion(Value):
         return cls(**generate(pointing, n, days, start, seed, _TESS, cadence=days))
 
     @classmethod
-    @documented(rest=_rest("K2FinalCampaign`, or `~scope_models.scene.motion.K2Campaign18"))
+    @documented(
+        given=_given(
+            "K2FinalCampaign`, or `~scope_models.scene.motion.K2Campaign18",
+            "long cadences; by default the whole campaign.",
+            "campaign : {18, 19}, optional\n    The campaign.\n",
+        )
+    )
     def k2_final_campaign(cls, n_cadences=None, *, campaign=19, seed=1, start=None, **parameters):
         """Generate the motion of a star in one of K2's last campaigns.
 
-        Campaign 19 compared with the K2 data release notes: 26.4 d in 1291 long cadences; 8.4 d off
-        target, 7 d with less than 1.5 px, here less than 1 px, and 11 d of erratic pointing.
+        Cadences have the mission's numbers. In the 7 d of nominal pointing of campaign 19 the
+        K2 data release notes have less than 1.5 px, here it is less than 1 px. In campaign 18, EPIC
+        211983544 has the standard deviation 0.171 px along the direction of roll, here 0.135 to
+        0.156 px (20 seeds); a median step from one cadence to the next of 0.0115 px, here 0.013 px;
+        and 101 cadences with thruster firings, here 111 to 132.
 
-        Campaign 18 compared with EPIC 211983544 (2490 long cadences, without flagged ones): the
-        motion along the direction of roll has the standard deviation 0.171 px there, 0.135 to 0.156
-        px here (20 seeds); the median step from one cadence to the next is 0.0115 px there, 0.013
-        px here; 101 cadences are flagged as with thruster firings there, 111 to 132 here. Cadences
-        have the mission's numbers.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of long cadences; the default is the whole campaign.
-        campaign : {18, 19}, optional
-            The campaign.
-        {rest}
+        {given}
 
         Examples
         --------
@@ -547,14 +594,11 @@ class Motion(Value):
         return motion.replace(cadenceno=number, meta=meta)
 
     @classmethod
-    @documented(rest=_rest("GroundTracking", "s", "BTJD", number="Number of exposures."))
+    @documented(given=_given("GroundTracking", "exposures.", f"{_INTERVAL}s.\n", "BTJD"))
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
-        The image motion is that of the seeing and the aperture; pointing, drift and wind are
-        assumed.
-
-        {rest}
+        {given}
 
         Examples
         --------
@@ -567,11 +611,11 @@ class Motion(Value):
         return cls(**generate(GroundTracking(**parameters), n_cadences, days, start, seed, _TESS))
 
     @classmethod
-    @documented(rest=_rest("RandomWalk", "days"))
+    @documented(given=_given("RandomWalk", f"cadences. {_LONGER}", f"{_INTERVAL}days.\n"))
     def random_walk(cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters):
         """Generate a random walk for tests of correctors; no mission moves like this.
 
-        {rest}
+        {given}
 
         Examples
         --------
@@ -583,13 +627,13 @@ class Motion(Value):
         return cls(**generate(RandomWalk(**parameters), n_cadences, days, start, seed, _K2))
 
     @classmethod
-    @documented(rest=_rest("FailingWheels", "days"))
+    @documented(given=_given("FailingWheels", f"cadences. {_LONGER}", f"{_INTERVAL}days.\n"))
     def failing_wheels(
         cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters
     ):
         """Generate a drift with growing jumps for tests of correctors; no mission moves like this.
 
-        {rest}
+        {given}
 
         Examples
         --------
@@ -609,9 +653,9 @@ class Motion(Value):
         motions : iterable of Motion
             The motions, in order.
         shift : bool, optional
-            If true, the times and cadence numbers of each motion after the first are shifted by
-            a constant so that it begins one cadence (the median time between cadences of the
-            motion before it, or its own) after the one before it.
+            Whether times and cadence numbers of each motion are shifted so that it begins one
+            cadence (the median time between cadences of the motion before it, or its own) after
+            the one before it.
 
         Returns
         -------
@@ -621,8 +665,8 @@ class Motion(Value):
         Raises
         ------
         ValueError
-            If there are no motions, if their time formats differ, or, without ``shift``, if
-            times or cadence numbers do not increase.
+            If there are no motions, their time formats differ, or, without ``shift``, times or
+            cadence numbers do not increase.
 
         Examples
         --------
@@ -684,7 +728,7 @@ class Motion(Value):
         """
         series = read_pixels(tpf)
         stamp = series.header, series.flux.shape[1:]
-        return _motion_arrays.offsets_at(self, series.time, series.time_format, *stamp)
+        return offsets_at(self, series.time, series.time_format, *stamp)
 
     @documented()
     def plot(self, ax=None, **options):
@@ -709,13 +753,13 @@ class Motion(Value):
         label = {"time_label": f"Time ({self.time_format.upper()})"}
         return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
 
-    read, write = classmethod(_storage.read), _storage.write
+    read, write = classmethod(_files.read), _files.write
 
     def statistics(self, pixel_scale=MISSIONS["K2"].pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
 
         Mean, standard deviation and maximum are those of :math:`r = \sqrt{x^2 + y^2}`, as in
-        table 1 of the paper [1]_; the extent is the largest distance between any two positions.
+        table 1 of the paper [1]_.
 
         Parameters
         ----------
@@ -754,7 +798,7 @@ class Motion(Value):
             raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
         x, y = self.x[keep], self.y[keep]
         r = np.hypot(x, y)
-        values = (r.mean(), r.std(), r.max(), _motion_arrays.largest_distance(x, y))
+        values = (r.mean(), r.std(), r.max(), largest_distance(x, y))
         pixel = pixel_scale * u.arcsec / u.pix
         return MotionStatistics(*(float(value) * u.pix for value in values), pixel, len(r))
 
@@ -771,3 +815,124 @@ def _shifted(motion, before):
     time = motion.time - motion.time[0] + (before.time[-1] + step)
     number = motion.cadenceno.astype(np.int64) - motion.cadenceno[0] + (before.cadenceno[-1] + 1)
     return motion.replace(time=time, cadenceno=number)
+
+
+def as_pixels(value, name, n, pixel_scale=None):
+    """Return a new one-dimensional array of n offsets in pixels."""
+    array = plain_array(value, "pix", name, pixel_scale=pixel_scale)
+    return _checked_shape(np.array(array), name, n)
+
+
+def checked_arrays(time, x, y, quality, cadenceno, time_format, pixel_scale=None):
+    """Return new arrays of days, pixels, flags and growing numbers, all of one length."""
+    checked_choice("time_format", time_format, TIME_ZEROS)
+    time = np.array(plain_time(time, time_format, "time"))
+    if time.size == 0:
+        raise ValueError("`time` is empty: a motion must have at least one cadence")
+    n = len(_checked_shape(time, "time", time.size))
+    x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
+    quality = np.zeros(n, np.int32) if quality is None else quality
+    number = np.arange(1, n + 1) if cadenceno is None else cadenceno
+    quality = _checked_shape(np.array(checked_int32("quality", quality)), "quality", n)
+    number = _checked_shape(np.array(checked_int32("cadenceno", number)), "cadenceno", n)
+    check_increasing(number, "cadenceno")
+    return time, x, y, quality, number
+
+
+def _checked_shape(array, name, n):
+    if array.ndim != 1:
+        raise ValueError(f"`{name}` must be one-dimensional, got shape {array.shape}")
+    if len(array) != n:
+        raise ValueError(f"`{name}` must have the length of `time`, {n}, got {len(array)}")
+    return array
+
+
+def check_increasing(values, name):
+    steps = np.flatnonzero(~(np.diff(values) > 0))
+    if len(steps):
+        i = steps[0] + 1
+        found = f"{values[i]} after {values[i - 1]} at index {i}"
+        raise ValueError(f"`{name}` must increase strictly, got {found}")
+
+
+def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
+    """Interpolate, drop or refuse unusable cadences, as `Motion.from_arrays`; count them."""
+    checked_choice("bad", bad, ("interpolate", "drop", "error"))
+    given = time, x, y, quality, cadenceno, time_format, pixel_scale
+    time, x, y, flags, number = checked_arrays(*given)
+    lost = ~usable_positions(np.column_stack([x, y]))
+    timeless = ~np.isfinite(time)
+    unusable = lost | timeless
+    limit = f"NaN or at least {LARGEST_OFFSET:g} px"
+    for noun, wrong, reason in (("position", lost, limit), ("time", timeless, "NaN")):
+        if wrong.all():
+            raise ValueError(f"no usable {noun}: all of {len(time)} are {reason}")
+    if unusable.all():
+        raise ValueError("no cadence with both a usable time and a usable position")
+    if bad == "error" and unusable.any():
+        raise ValueError(
+            f"{lost.sum()} positions are {limit}, and {timeless.sum()} times are NaN, "
+            f"the first of them at index {np.flatnonzero(unusable)[0]}"
+        )
+    if bad == "drop":
+        time, x, y, flags, number = (v[~unusable] for v in (time, x, y, flags, number))
+    else:
+        bits = _QUALITY[time_format]
+        flags[lost] |= bits.manual_exclude
+        flags[timeless] |= bits.no_data or bits.manual_exclude
+        x = np.interp(number, number[~lost], x[~lost])
+        y = np.interp(number, number[~lost], y[~lost])
+        time = _fill_times(time, number, timeless)
+    return time, x, y, flags, number, int(unusable.sum())
+
+
+def _fill_times(time, number, timeless):
+    """Interpolate times in cadence number; beyond the ends they go on at the median pace."""
+    if not timeless.any():
+        return time
+    known, values = number[~timeless].astype(float), time[~timeless]
+    check_increasing(values, "time")
+    if len(values) == 1:
+        raise ValueError("`time` must have at least two usable values to interpolate others")
+    pace = np.median(np.diff(values) / np.diff(known))
+    filled = np.interp(number, known, values)
+    filled += pace * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
+    return np.where(timeless, filled, time)
+
+
+def offsets_at(motion, time, time_format, cards, shape):
+    """Return what `Motion.offsets` does, at times in days, for the cards and shape of a stamp."""
+    if time_format != motion.time_format:
+        times = f"{motion.time_format.upper()}, those of the file {time_format.upper()}"
+        raise ValueError(f"the times of the motion are {times}")
+    if (ccd := motion.meta.get("ccd")) and (other := ccd_name(cards)) not in {"", ccd}:
+        raise ValueError(f"the motion belongs to {ccd}, the file to {other}")
+    time = np.where(np.isfinite(time), time, np.inf)
+    middles = (motion.time[1:] + motion.time[:-1]) / 2
+    at = np.searchsorted(middles, time)
+    steps = np.diff(motion.time)
+    step = np.median(steps) if len(steps) else MISSIONS["K2"].cadence_days("long")
+    known = np.abs(time - motion.time[at]) < step / 2
+    if not known.any():
+        raise ValueError("the motion has none of the cadences of the file")
+    place = place_of(cards, shape)
+    moved = motion.at(*place) if place is not None and hasattr(motion, "at") else motion
+    pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
+    return tuple(None if x is None else np.where(known, [x[at], y[at]], np.nan).T for x, y in pairs)
+
+
+def largest_distance(x, y):
+    """Return the largest distance between any two points, both corners of the hull."""
+    # Not imported with the package: it takes a third of the time that the package has for that.
+    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import pdist
+
+    points = np.column_stack([x, y])
+    points = points - points.mean(axis=0)
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:
+        # All points lie on a line, or there are fewer than three.
+        along = points @ np.linalg.svd(points, full_matrices=False)[2][0]
+        return float(np.ptp(along))
+    return float(pdist(hull).max())

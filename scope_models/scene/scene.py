@@ -17,7 +17,7 @@ from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
 from scope_models.missions import TIME_ZEROS
 from scope_models.models._description import check_coord, sky_place
-from scope_models.scene import _storage
+from scope_models.scene import _files
 from scope_models.scene.catalog import find_target, place_stars, read_catalog, star_frame
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -315,7 +315,7 @@ class Scene(Value):
         mags = [star.mag for star in self.stars]
         return plot_scene(motion.time, x, y, shape, positions, mags, time_label=label, ax=ax)
 
-    read, write = classmethod(_storage.read), _storage.write
+    read, write = classmethod(_files.read), _files.write
 
 
 def _places(scene):
