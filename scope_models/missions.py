@@ -63,7 +63,7 @@ class QualityBits(Value):
     rolling_band, detector_anomaly, impulsive_outlier : int
         Artifacts of the electronics, and cadences found to be outliers.
     manual_exclude : int
-        Left out by hand; also set here where no position or time was measured.
+        Left out by hand, or here without a measured position or time.
     no_data : int
         No data, and no time.
     rejected : int
@@ -74,8 +74,6 @@ class QualityBits(Value):
     >>> from scope_models.missions import MISSIONS
     >>> MISSIONS["K2"].quality.thruster_firing
     1048576
-    >>> MISSIONS["TESS"].quality.no_data
-    0
     """
 
     attitude_tweak: int = 1
@@ -103,12 +101,10 @@ class QualityBits(Value):
 class Mission(Value):
     """Facts that are the same for all stars of a mission.
 
-    `~scope_models.missions.MISSIONS` holds Kepler, K2 and TESS by their names.
-
     Parameters
     ----------
     name : str
-        Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
+        Name, as in `~scope_models.missions.MISSIONS`, the card MISSION and detectors.
     telescope, instrument : str
         The cards TELESCOP and INSTRUME.
     template : str
@@ -130,7 +126,7 @@ class Mission(Value):
     int_time, read_time : float
         Exposure of a frame, and the time per frame in which none is recorded, s.
     cadences : tuple of Cadence
-        The cadences; the first is the usual one.
+        The cadences, the usual one first.
     well_depth : float
         Electrons that a pixel holds in a frame, the median over the detectors.
     quality : QualityBits
@@ -211,7 +207,7 @@ class Mission(Value):
         Returns
         -------
         Mission or None
-            The mission, None if the cards name none of ``MISSIONS``.
+            The mission, None if the cards name none.
         """
         known = {name.lower(): mission for name, mission in MISSIONS.items()}
         names = (str(cards.get(keyword)).strip().lower() for keyword in ("MISSION", "TELESCOP"))
@@ -243,8 +239,8 @@ class Mission(Value):
         Parameters
         ----------
         choice : str, float or Quantity, optional
-            The cadence's name or its length, in seconds or with a unit; a length within 3 %
-            names it. None is the mission's usual cadence.
+            The cadence's name or its length within 3 %, in seconds or with a unit; None is the
+            mission's usual cadence.
 
         Returns
         -------
@@ -260,8 +256,6 @@ class Mission(Value):
         --------
         >>> import astropy.units as u
         >>> from scope_models.missions import MISSIONS
-        >>> MISSIONS["TESS"].cadence(2 * u.min).n_frames
-        60
         >>> MISSIONS["Kepler"].cadence(30 * u.min).name
         'long'
         """
@@ -291,9 +285,8 @@ class Mission(Value):
 def full_flux(well_depth, int_time, background=0.0):
     """Return the flux, e-/s, from which a pixel of an archive file may be full.
 
-    The channels differ, and a file does not give the depth of the wells: the shallowest of Kepler's
-    84 channels are full at 0.877 of the median (0.947e6 of 1.08e6 electrons, KSCI-19033, table
-    13). For other missions that is an assumption.
+    The shallowest of Kepler's 84 channels are full at 0.877 of the median (0.947e6 of 1.08e6
+    electrons, KSCI-19033, table 13). For other missions that is an assumption.
     """
     return 0.877 * well_depth / int_time - background
 

@@ -42,14 +42,14 @@ _BRIGHTEST, _LOWEST_LATITUDE = 5.0, 20.0
 def star_counts(mag, coord):
     r"""Return the number of stars brighter than a magnitude in a direction.
 
-    The analytic form of Bahcall & Soneira's model of the Galaxy for the V band, good to about
-    15 % from V = 5 to 30 at galactic latitudes of more than 20 degrees. Nearer to the plane the
-    counts at 20 degrees are given, which are too few.
+    The analytic form of Bahcall & Soneira's model of the Galaxy, good to about 15 % from V = 5 to
+    30 at galactic latitudes of more than 20 degrees. Nearer to the plane the counts at 20 degrees
+    are given, which are too few.
 
     Parameters
     ----------
     mag : float, array_like or Quantity
-        Magnitude.
+        Magnitude V.
     coord : SkyCoord
         The direction.
 
@@ -101,36 +101,34 @@ def star_frame(coord, shape, wcs):
 
 
 def find_target(coord, target, places, mags, pixel_scale):
-    """Return the target's place, the target, and which stars of a catalog are others."""
+    """Return the target's place, the target, and places and magnitudes of the other stars."""
     if not isinstance(target, Star | None):
         raise TypeError(f"`target` must be a Star, got {target!r}")
-    others = np.ones(len(mags), dtype=bool)
-    distance = coord.separation(places).arcsec if len(mags) else np.array([np.inf])
-    nearest = int(np.argmin(distance))
-    if distance[nearest] <= pixel_scale:
-        others[nearest] = False
-        if target is None:
-            coord, target = places[nearest], Star(mags[nearest])
+    distance = coord.separation(places).arcsec
+    nearest = np.argsort(distance)[:1]
+    same = nearest[distance[nearest] <= pixel_scale]
     if target is None:
-        far = f"; the nearest is {distance[nearest] / 3600:.3g} deg away" if len(mags) else ""
-        raise ValueError(f"`table` has no star within a pixel of `coord`{far}: give the `target`")
-    return coord, target.replace(coord=None), others
+        if not len(same):
+            far = "".join(f"; the nearest is {d / 3600:.3g} deg away" for d in distance[nearest])
+            lacking = f"`table` has no star within a pixel of `coord`{far}"
+            raise ValueError(f"{lacking}: give the `target`")
+        coord, target = places[same[0]], Star(mags[same[0]])
+    others = np.delete(np.arange(len(mags)), same)
+    return coord, target.replace(coord=None), places[others], mags[others]
 
 
-def place_stars(base, places, mags, others, magnitude_limit, background_stars, psf):
+def place_stars(base, places, mags, magnitude_limit, background_stars, psf):
     """Return the target and the stars whose light falls into the stamp of a scene of the target.
 
-    The catalog's stars that are ``others`` are used; ``psf`` varies with the place. The other
-    arguments are those of `Scene.from_catalog`.
+    ``psf`` varies with the place; the other arguments are those of `Scene.from_catalog`.
     """
-    x, y = np.zeros((2, len(mags)))
-    if len(mags):
-        x, y = base.wcs.wcs_world2pix(np.column_stack([places.ra.deg, places.dec.deg]), 0).T
-    used = others & np.isfinite(x + y)
+    xy = np.column_stack([places.ra.deg, places.dec.deg])
+    xy = base.wcs.wcs_world2pix(xy, 0) if len(xy) else xy
+    used = np.isfinite(xy).all(axis=1)
     if magnitude_limit is not None:
         used &= mags <= plain_number(magnitude_limit, u.mag, "magnitude_limit")
-    drawn = _draw(base, background_stars, mags[used])
-    x, y, mags = (np.append(a[used], b) for a, b in zip((x, y, mags), drawn, strict=True))
+    drawn_xy, drawn = _draw(base, background_stars, mags[used])
+    xy, mags = np.concatenate([xy[used], drawn_xy]), np.append(mags[used], drawn)
 
     @cache
     def psf_at(x, y):
@@ -140,24 +138,27 @@ def place_stars(base, places, mags, others, magnitude_limit, background_stars, p
         return None if at is None else at(column + x, row + y)
 
     target = base.stars[0]
-    target = target.replace(psf=psf_at(*base.positions[0])) if psf else target
-    kept = _lighting(base, x, y, mags, target.psf or base.detector.psf)
-    blocks = _PSF_BLOCK * (np.column_stack([x, y])[kept] // _PSF_BLOCK + 0.5)
-    found = zip(mags[kept], x[kept], y[kept], blocks, strict=True)
-    return [target, *(Star(*star, psf=psf_at(*block)) for *star, block in found)]
+    target = target if psf is None else target.replace(psf=psf_at(*base.positions[0]))
+    kept = _lighting(base, xy, mags, target.psf or base.detector.psf)
+    blocks = _PSF_BLOCK * (xy[kept] // _PSF_BLOCK + 0.5)
+    found = zip(mags[kept], xy[kept], blocks, strict=True)
+    return [target, *(Star(mag, *place, psf=psf_at(*block)) for mag, place, block in found)]
 
 
-def _column(table, names, unit):
-    """Return the values of the first column of some names, or None."""
+def _column(table, names, unit, needed=None):
+    """Return the values of the first column of some names, or None if it is not needed."""
     known = {name.lower(): name for name in table.colnames}
     name = next((known[name] for name in names if name in known), None)
+    if name is None and needed:
+        found = ", ".join(table.colnames) or "none"
+        raise ValueError(f"`table` must have a column {needed}, got {found}")
     return None if name is None else plain_array(table[name], unit, f"table[{name!r}]")
 
 
 def read_catalog(table, mission, magnitude, ref_epoch, year):
     """Return places at a time (Julian year), and magnitudes, of a catalog's stars."""
     if table is None:
-        return None, np.zeros(0)
+        return SkyCoord([], [], unit=u.deg), np.zeros(0)
     try:
         table = Table(table)
     except (TypeError, ValueError) as error:
@@ -169,12 +170,8 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
     if ref_epoch is not None:
         is_time = isinstance(ref_epoch, Time)
         ref_epoch = ref_epoch.jyear if is_time else plain_number(ref_epoch, u.yr, "ref_epoch")
-    units = {_RA: u.deg, _DEC: u.deg, names: u.mag}
-    ra, dec, mags = (_column(table, *item) for item in units.items())
-    for wanted, values in ((_RA[0], ra), (_DEC[0], dec), (" or ".join(names), mags)):
-        if values is None:
-            found = ", ".join(table.colnames) or "none"
-            raise ValueError(f"`table` must have a column {wanted}, got {found}")
+    ra, dec = _column(table, _RA, u.deg, "ra"), _column(table, _DEC, u.deg, "dec")
+    mags = _column(table, names, u.mag, " or ".join(names))
     if np.any(np.abs(dec) > 90):
         raise ValueError("`table` must have declinations within -90 to 90")
     good = np.isfinite(ra) & np.isfinite(dec) & np.isfinite(mags)
@@ -194,35 +191,33 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
 
 
 def _draw(base, faintest, mags):
-    """Return columns, rows and magnitudes of stars that are fainter than a catalog's."""
+    """Return places and magnitudes of stars that are fainter than a catalog's."""
     if faintest is None:
-        return np.zeros((3, 0))
+        return np.zeros((0, 2)), np.zeros(0)
     faintest = plain_number(faintest, u.mag, "background_stars")
     generator = np.random.default_rng([base.seed or 0, 1])
     grid = np.linspace(min(max(mags, default=_BRIGHTEST), faintest), faintest, 200)
     counts = star_counts(grid, SkyCoord(base.ra, base.dec, unit=u.deg))
-    ny, nx = (n + 2 * _MARGIN for n in base.detector.shape)
-    area = nx * ny * (base.detector.pixel_scale / 3600) ** 2
-    n = generator.poisson(area * (counts[-1] - counts[0]))
-    u_mag, u_x, u_y = generator.random((n, 3)).T
-    drawn = np.interp(counts[0] + u_mag * (counts[-1] - counts[0]), counts, grid)
-    return u_x * nx - _MARGIN - 0.5, u_y * ny - _MARGIN - 0.5, drawn
+    size = np.array(base.detector.shape[::-1]) + 2 * _MARGIN
+    area = size.prod() * (base.detector.pixel_scale / 3600) ** 2
+    deviates = generator.random((generator.poisson(area * (counts[-1] - counts[0])), 3))
+    drawn = np.interp(counts[0] + deviates[:, 0] * (counts[-1] - counts[0]), counts, grid)
+    return deviates[:, 1:] * size - _MARGIN - 0.5, drawn
 
 
-def _lighting(base, x, y, mags, model):
-    detector, motion = base.detector, base.motion
-    axes = zip((x, y), (motion.x, motion.y), detector.shape[::-1], strict=True)
-    reached = [(place + moved.min(), place + moved.max(), n) for place, moved, n in axes]
-    away = [np.maximum(np.maximum(-0.5 - high, low - (n - 0.5)), 0) for low, high, n in reached]
-    outside = np.hypot(*away)
+def _lighting(base, xy, mags, model):
+    detector, size = base.detector, np.array(base.detector.shape[::-1])
+    moved, middle = np.column_stack([base.motion.x, base.motion.y]), (size - 1) / 2
+    # The place within the motion that is nearest to the middle of the stamp.
+    nearest = np.clip(middle, xy + moved.min(axis=0), xy + moved.max(axis=0))
+    outside = np.hypot(*np.maximum(np.abs(nearest - middle) - size / 2, 0).T)
     kept = outside == 0
     seconds = detector.exposure_time
     variance = detector.background * seconds + detector.cadence_read_noise**2
     least = _LEAST_NOISE * max(np.sqrt(variance), 1.0) / seconds
     candidates = np.flatnonzero((outside > 0) & (outside < _FARTHEST))
     for part in np.split(candidates, range(_BATCH, len(candidates), _BATCH)):
-        # The place within the motion that is nearest to the middle of the stamp.
-        at = [np.clip((n - 1) / 2, low[part], high[part]) for low, high, n in reached]
-        brightest = unit_images(model, detector.shape, *at).max(axis=(1, 2), initial=0.0)
+        images = unit_images(model, detector.shape, *nearest[part].T)
+        brightest = images.max(axis=(1, 2), initial=0.0)
         kept[part] = brightest * detector.flux_from_mag(mags[part]) > least
     return kept

@@ -17,9 +17,9 @@ class CommonMotion(Motion):
     r"""The motion that all stars of a CCD share, with errors.
 
     A star at :math:`(X, Y)`, pixels from ``place``, is displaced by :math:`x + s X - \theta Y` and
-    :math:`y + s Y + \theta X`, with the scale s and the roll :math:`\theta` of the cadence.
-    `~scope_models.Motion.from_tpfs` makes it; `at` gives the motion at another place. Its errors
-    follow from the scatter of the stars about it, without errors of the PSF that all share.
+    :math:`y + s Y + \theta X`, with the scale s and the roll :math:`\theta` of the cadence: `at`.
+    `~scope_models.Motion.from_tpfs` makes it, with errors from the scatter of the stars about it,
+    without those of the PSF that all share.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class CommonMotion(Motion):
     roll, scale : array_like of shape (n,)
         Roll, radians, and relative change of the scale.
     roll_err, scale_err : array_like of shape (n,)
-        Their standard deviations; their errors and those of x and y count as independent.
+        Their standard deviations; all errors count as independent.
     place : tuple of float
         Column and row on the CCD.
 

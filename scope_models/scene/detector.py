@@ -47,7 +47,7 @@ TypeError
 _CADENCE = f"""Parameters
 ----------
 cadence : {{"long", "short"}}, float or Quantity, optional
-    270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a unit.
+    270 frames in 29.4 min, or 9 in 58.8 s; or the length, in seconds or with a unit.
 {_CHANGES}"""
 
 
@@ -55,19 +55,17 @@ cadence : {{"long", "short"}}, float or Quantity, optional
 class Detector(Value):
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
-    The presets `kepler`, `k2`, `k2_calibrated`, `tess` and `ground` hold the numbers of the
-    missions, and of telescopes on the ground, with their sources; `preset` finds them, and those
-    of your own, by name, and `from_tpf` takes what a file has. A detector does not change;
-    `replace` and `without_sensitivity` give new ones. Detectors are equal if all their fields are.
-    Numbers with a unit may be quantities.
+    `kepler`, `k2`, `k2_calibrated`, `tess` and `ground` have the numbers of instruments with their
+    sources; `preset` finds these, and your own, by name; `from_tpf` takes those of a file.
+    `replace` and `without_sensitivity` give new detectors. Numbers with a unit may be quantities.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns ``(ny, nx)`` of the stamp.
     zero_point : float or str
-        Electrons per second of a star of magnitude ``zero_point_mag``, or the name of one of the
-        mission's zero points in `~scope_models.scene.detector.ZERO_POINTS`.
+        Electrons per second of a star of magnitude ``zero_point_mag``, or the name of one in
+        `~scope_models.scene.detector.ZERO_POINTS`.
     zero_point_mag : float
         The magnitude that belongs to ``zero_point``.
     int_time : float
@@ -81,7 +79,7 @@ class Detector(Value):
     n_frames : int, optional
         Frames per cadence.
     live_fraction : float, optional
-        Part of the frames that is summed; TESS's cosmic-ray mitigation drops two of ten.
+        Part of the frames that is summed.
     gain : float, optional
         Electrons per digital number (DN).
     read_noise : float, optional
@@ -93,32 +91,30 @@ class Detector(Value):
     fixed_offset : int, optional
         Number added to each pixel of the raw counts, DN.
     mean_black : int, optional
-        Black level of one read, DN. It is taken off before the counts are stored.
+        Black level of one read, DN; it is taken off before the counts are stored.
     sensitivity : astropy.modeling.Model or None, optional
         Response within a pixel: a `SensitivityPolynomial` or a product of several; None is 1.
     interpixel : array_like of shape (ny, nx) or None, optional
         Response of each pixel against the others, the b of the paper's Eq. 2. None draws it from
-        the observation's seed with ``interpixel_scatter``.
+        the observation's seed.
     interpixel_scatter : float, optional
-        Half width ("uniform") or standard deviation ("normal") of the drawn responses.
+        Half width ("uniform") or standard deviation ("normal") of the drawn responses about 1.
     interpixel_distribution : {"uniform", "normal"}, optional
-        The distribution of the drawn responses about 1.
+        Their distribution.
     psf : astropy.modeling.Model or None, optional
         The PSF of stars that have none of their own. Widths that are angles become pixels.
     effects : Effect or sequence of Effect, optional
-        Effects of the instrument and its site that every scene has: see `scope_models.effects`.
+        Effects of the instrument and its site in every scene: see `scope_models.effects`.
 
     Raises
     ------
-    TypeError
-        If a field is misspelled or of the wrong kind.
-    ValueError
-        If a number is not finite or outside its domain.
+    TypeError, ValueError
+        If a field is misspelled, of the wrong kind or outside its domain.
 
     Notes
     -----
     A pixel's response is :math:`s = b \sum_n a_{xn} u^n \sum_m a_{ym} v^m` (Eq. 2 of the paper)
-    with :math:`u, v` measured from the center of the pixel.
+    with :math:`u, v` from the center of the pixel.
 
     Examples
     --------
@@ -128,10 +124,6 @@ class Detector(Value):
     ((9, 9), 270, 1625.35)
     >>> round(detector.flux_from_mag(12.0))
     174000
-    >>> detector.without_sensitivity()
-    <Detector K2: 9 x 9 px of 3.98 arcsec, 270 frames of 6.0198 s, 174000 e-/s at magnitude 12,
-    gain 110 e-/DN, read noise 100 e-, background 284 e-/s, well depth 1.08e+06 e-,
-    sensitivity 1, interpixel uniform 0>
     """
 
     shape: tuple[int, int]
@@ -221,8 +213,7 @@ class Detector(Value):
         Parameters
         ----------
         name : str
-            "kepler", "k2", "k2_calibrated" or "tess", in any case, or a name given to
-            `~scope_models.scene.presets.register_preset`.
+            A name of `~scope_models.scene.presets.PRESETS`, in any case.
         cadence : str, float or Quantity, optional
             Name of a cadence, or its length, in seconds or with a unit; by default the usual one.
         {changes}
@@ -296,8 +287,7 @@ class Detector(Value):
         Notes
         -----
         Every value is that of `kepler`, but the background: 284 e-/s per pixel is the median
-        FLUX_BKG in the target pixel file of EPIC 211983544, campaign 18; that of EPIC 211956421,
-        campaign 5, has 360. Fields near the ecliptic see more zodiacal light.
+        FLUX_BKG of EPIC 211983544, campaign 18 (EPIC 211956421, campaign 5: 360).
 
         Examples
         --------
@@ -312,18 +302,16 @@ class Detector(Value):
     def k2_calibrated(cls, cadence="long", **changes):
         r"""Return the K2 photometer with a response that gives K2's noise.
 
-        With the paper's response stars that move as in K2 are too quiet. Here the response within
-        pixels, that between them and the wings of the PSF are fitted to the noise of K2
-        campaign 3 before de-trending.
+        With the paper's response stars that move as in K2 are too quiet. Here the response and the
+        wings of the PSF are fitted to the noise of K2 campaign 3 before de-trending.
 
         {rest}
 
         Notes
         -----
-        Every value is that of `k2` but these. The study is on the page on calibration; the fit is
-        ``python studies/paper/calibrate_k2_motion.py``. Of the values that fit alike, these also
-        give EPIC 205998445 its noise within a quarter; its own is that of the whole campaign, the
-        simulated one that of the first 500 cadences, in which the roll is slow.
+        Every value is that of `k2` but these, of ``python studies/paper/calibrate_k2_motion.py``
+        (see the page on calibration). Of the values that fit alike, these also give EPIC 205998445
+        its noise within a quarter.
 
         ======================= ==================== ==========================================
         field                   value                source
@@ -339,16 +327,13 @@ class Detector(Value):
                                                      of 4.2 px (Kepler telescope page, medians)
         ======================= ==================== ==========================================
 
-        The ranges hold for these wings. The three go together: with 10 % in the wings
-        :math:`a_2` is -1.35 to -1.1, and what one response explains the other need not.
+        The ranges hold for these wings: with 10 % in the wings :math:`a_2` is -1.35 to -1.1.
 
         Examples
         --------
         >>> from scope_models import Detector
-        >>> detector = Detector.k2_calibrated()
-        >>> edge, center = detector.sensitivity(0.5, 0.0), detector.sensitivity(0.0, 0.0)
-        >>> print(f"{edge / center:.4f}")
-        0.8125
+        >>> Detector.k2_calibrated().interpixel_scatter
+        0.011
         """
         return cls.preset("k2_calibrated", cadence, **changes)
 
@@ -360,7 +345,7 @@ class Detector(Value):
         Parameters
         ----------
         cadence : {"20 s", "120 s", "200 s", "600 s", "1800 s"}, float or Quantity, optional
-            The cadence's name; or its length, in seconds or with a unit.
+            The cadence, by its name or length, in seconds or with a unit.
         {rest}
 
         Notes
@@ -410,9 +395,9 @@ class Detector(Value):
         aperture : float or Quantity, optional
             Diameter of the telescope, m.
         altitude : float or Quantity, optional
-            Altitude of the observatory, m, which matters to the scintillation.
+            Altitude of the observatory, m, for the scintillation.
         band : {"V", "R", "I"}, optional
-            The band, in which the stars' magnitudes are.
+            The band of the stars' magnitudes.
         seeing : float or Quantity, optional
             Full width at half maximum of the PSF at the zenith, arcsec.
         pixel_scale : float or Quantity, optional
@@ -420,23 +405,19 @@ class Detector(Value):
         airmass : float or array_like, optional
             Airmass, one number or one for each cadence: `~scope_models.effects.airmass`.
         throughput : float, optional
-            Part of the photons above the atmosphere that the detector would count without
-            extinction.
+            Part of the photons that the detector would count without extinction.
         **changes
             Any field of `Detector`, to replace these values.
 
         Returns
         -------
         Detector
-            The detector. `Motion.ground <scope_models.Motion.ground>` is its motion, and its
-            files have the layout of TESS, which lightkurve opens.
+            The detector. Its files have the layout of TESS, which lightkurve opens.
 
         Raises
         ------
-        ValueError
-            If the band is unknown or a number outside its domain.
-        TypeError
-            If a field is misspelled.
+        TypeError, ValueError
+            If a field is misspelled, the band unknown or a number outside its domain.
 
         Notes
         -----
@@ -464,15 +445,14 @@ class Detector(Value):
         \                       DarkCurrent          0.1 e-/s, assumed
         ======================= ==================== ==========================================
 
-        Moonlight is the effect `~scope_models.effects.NightSky` of a scene.
+        `Motion.ground <scope_models.Motion.ground>` is the motion, and moonlight the effect
+        `~scope_models.effects.NightSky` of a scene.
 
         Examples
         --------
-        >>> from scope_models import Detector, Motion, Star, simulate
-        >>> detector = Detector.ground(2.0, altitude=2635, band="V", seeing=0.8)
-        >>> observation = simulate(Star(16.0), detector, Motion.ground(20), seed=1)
-        >>> type(observation.to_tpf()).__name__
-        'TessTargetPixelFile'
+        >>> from scope_models import Detector
+        >>> [effect.name for effect in Detector.ground(2.0, altitude=2635, band="V").effects]
+        ['Extinction', 'Scintillation', 'Seeing', 'DarkCurrent']
         """
         given = aperture, altitude, band, seeing, pixel_scale, airmass, throughput
         return cls(**(presets.ground_fields(*given) | changes))
@@ -481,13 +461,13 @@ class Detector(Value):
     def from_tpf(cls, tpf, **changes):
         """Return the detector that recorded a target pixel file.
 
-        It is the preset of the file's mission with what the file has: shape, exposure, gain, read
-        noise, black level, offset of the raw counts, and the median of FLUX_BKG.
+        It is the preset of the file's mission with the file's shape, exposure, gain, read noise,
+        black level, offset of the raw counts, and median of FLUX_BKG.
 
         Parameters
         ----------
         tpf : lightkurve.TargetPixelFile, str or path-like
-            What `~scope_models.io.read_pixels` takes.
+            The file, as for `~scope_models.io.read_pixels`.
         **changes
             Any field of `Detector`, to replace these values. ``mission`` names the preset where
             the file does not.
@@ -598,8 +578,7 @@ class Detector(Value):
         Parameters
         ----------
         seed : int
-            The seed of the observation; its stream "interpixel" draws the map where the detector
-            has none.
+            The seed of the observation, from which the map is drawn where the detector has none.
 
         Returns
         -------
@@ -630,7 +609,7 @@ class Detector(Value):
         Returns
         -------
         Detector
-            The control: no variation within a pixel, none between pixels.
+            The control.
         """
         return self.replace(sensitivity=None, interpixel=None, interpixel_scatter=0.0)
 

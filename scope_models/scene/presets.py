@@ -24,8 +24,7 @@ class Preset(Value):
     fields : mapping
         Fields of `~scope_models.Detector` and their values.
     cadences : tuple of Cadence, optional
-        The cadences to choose from; the first is the usual one. Empty if there is only that of
-        the fields.
+        The cadences to choose from, the usual one first; empty if there is only that of the fields.
 
     Examples
     --------
@@ -57,8 +56,8 @@ def register_preset(name, *, cadences=(), **fields):
     cadences : iterable of Cadence, optional
         The cadences to choose from; by default those of the mission, or that of the fields.
     **fields
-        Fields of `~scope_models.Detector`. A ``mission`` of `~scope_models.missions.MISSIONS` has
-        its own pixel scale, exposure of a frame, well depth and zero point, where none are given.
+        Fields of `~scope_models.Detector`. Of a ``mission`` of `~scope_models.missions.MISSIONS`,
+        pixel scale, exposure of a frame, well depth and zero point are the defaults.
 
     Returns
     -------

@@ -34,8 +34,8 @@ _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "
 class Scene(Value):
     """All that a simulation starts from.
 
-    ``simulate(scene)`` gives its pixels. A scene also unpacks as the arguments of the short form:
-    ``simulate(*scene, **scene.options)``. It does not change; `replace` gives a new one.
+    ``simulate(scene)`` gives its pixels, as does ``simulate(*scene, **scene.options)``; `replace`
+    gives a new scene.
 
     Parameters
     ----------
@@ -46,19 +46,17 @@ class Scene(Value):
     motion : Motion
         The motion that all stars share.
     seed : int, optional
-        The seed of the interpixel map and of all noise. None takes one from the operating system
-        when the scene is simulated.
+        The seed of the interpixel map and of all noise; None takes one from the operating system
+        in each simulation.
     noise : bool or str or iterable of str, optional
         True for photon, background and read noise, False for none, or names out of "photon",
         "background", "read" and "quantization".
     n_sub : int, optional
-        Exposures within a cadence over which the motion is averaged. Positions are interpolated
-        between the middles of the cadences by straight lines, and stay before the first and after
-        the last. The relative flux is a mean over the cadence in any case.
+        Exposures within a cadence over which the motion is averaged, along straight lines between
+        the middles of the cadences. The relative flux is a mean over the cadence in any case.
     effects : Effect or sequence of Effect or "mission", optional
-        What sky, telescope and detector do besides noise and saturation, with the detector's
-        own effects; their order does not matter: see `scope_models.effects`. "mission" are those of
-        `~scope_models.effects.mission_effects`.
+        Effects besides noise, saturation and the detector's own, in any order: see
+        `scope_models.effects`. "mission" are `~scope_models.effects.mission_effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -68,8 +66,7 @@ class Scene(Value):
     orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east.
     matrix : tuple of float, optional
-        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
-        along columns and rows is to the west and to the north.
+        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``.
     column, row : int, optional
         Detector column and row of the stamp's first pixel.
     metadata : mapping, optional
@@ -82,14 +79,11 @@ class Scene(Value):
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Scene, Star, simulate
+    >>> from scope_models import Detector, Motion, Scene, Star
     >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
-    >>> scene
+    >>> scene  # it unpacks as stars, detector, motion
     <Scene of 1 star, K2, 10 cadences of 11 x 11 pixels, seed 1>
-    >>> simulate(scene)
-    <Observation K2: 10 cadences of 11 x 11 pixels, 1 star, seed 1>
-    >>> stars, detector, motion = scene
-    >>> scene.replace(seed=2).options["seed"]
+    >>> scene.replace(seed=2).seed
     2
     """
 
@@ -207,11 +201,10 @@ class Scene(Value):
         Parameters
         ----------
         table : astropy.table.Table, mapping or None
-            The catalog: columns ``ra`` and ``dec`` (deg, ICRS), a magnitude, and if wanted
+            The catalog, or None: columns ``ra`` and ``dec`` (deg, ICRS), a magnitude, and if wanted
             proper motions ``pmra`` (times the cosine of the declination) and ``pmdec``, mas/yr,
             and their ``ref_epoch`` (Julian year). Names of Gaia, of VizieR and of the missions'
-            catalogs are found. Stars without a place or a magnitude are left out with a warning;
-            missing proper motions are 0. None means no catalog.
+            catalogs are found. Missing proper motions are 0.
         coord : SkyCoord
             Place of the target at the time of the motion.
         detector : Detector
@@ -219,37 +212,33 @@ class Scene(Value):
         motion : Motion
             The motion that all stars share. Proper motions move stars to its middle.
         target : Star, optional
-            The target, with its signal; its ``x_0`` and ``y_0`` are where ``coord`` is, by default
-            the middle of the stamp. It replaces the star of the table within a pixel of
-            ``coord``, if there is one. By default that star is the target.
+            The target, with its signal, in place of the star of the table within a pixel of
+            ``coord``; its ``x_0`` and ``y_0`` are where ``coord`` is.
         orientation : float or Quantity, optional
             Position angle of the direction of growing rows, deg from north to east.
         wcs : astropy.wcs.WCS, optional
-            World coordinates of the stamp, as of a target pixel file, in place of
-            ``orientation``. They give the target's place and the pixel scale, too; distortions
-            within the stamp are left out.
+            World coordinates of the stamp, in place of ``orientation``, the target's place and the
+            pixel scale; distortions are left out.
         magnitude : str, optional
-            Column of the magnitudes; by default the mission's band, else ``mag``, else Gaia's G,
-            taken as the mission's.
+            Column of the magnitudes; by default the mission's band, else ``mag``, else Gaia's G.
         magnitude_limit : float or Quantity, optional
             Fainter stars of the table are left out.
         background_stars : float or Quantity, optional
-            Draw stars down to this magnitude by `~scope_models.scene.catalog.star_counts`, fainter
-            than all that are used of the table, at random places. ``seed`` fixes them.
+            Draw stars of `~scope_models.scene.catalog.star_counts` down to this magnitude, fainter
+            than all that are used of the table, at random places of the ``seed``.
         ref_epoch : float, Quantity or Time, optional
             Epoch of the table's places, Julian year, if it has no column of it.
         psf : astropy.modeling.Model, PRFGrid or callable, optional
-            PSF of all stars, or how it varies with the place: PRFs of several places, or a
-            function of detector column and row that returns a model. It is taken at the middle of
-            blocks of 64 by 64 pixels.
+            PSF of all stars, PRFs of several places, or a function of detector column and row that
+            returns a model, taken at the middle of blocks of 64 by 64 pixels.
         **fields
             Other fields of `Scene`, as ``seed``, ``column`` and ``row``.
 
         Returns
         -------
         Scene
-            The target and all stars whose light falls into the stamp: those on it, and those
-            outside that add more than 1 % of the noise of a dark pixel to any pixel.
+            The target, all stars on the stamp, and those outside that add more than 1 % of the
+            noise of a dark pixel to any pixel.
 
         Raises
         ------
@@ -261,7 +250,7 @@ class Scene(Value):
         Warns
         -----
         CatalogWarning
-            If stars of the table are left out because a number is missing.
+            If stars of the table without a place or a magnitude are left out.
 
         Examples
         --------
@@ -269,7 +258,7 @@ class Scene(Value):
         >>> from scope_models import Detector, Motion, Scene
         >>> table = {"ra": [40.0, 40.003], "dec": [-20.0, -19.998], "mag": [12.0, 14.5]}
         >>> coord = SkyCoord(40.0, -20.0, unit="deg")
-        >>> scene = Scene.from_catalog(table, coord, Detector.k2(), Motion.k2_roll(50), seed=1)
+        >>> scene = Scene.from_catalog(table, coord, Detector.k2(), Motion.still(3))
         >>> print(scene.positions.round(2))
         [[5.   5.  ]
          [2.45 6.81]]
@@ -277,7 +266,8 @@ class Scene(Value):
         check_coord(coord)
         year = _middle_year(motion)
         places, mags = read_catalog(table, detector.mission, magnitude, ref_epoch, year)
-        coord, target, others = find_target(coord, target, places, mags, detector.pixel_scale)
+        found = find_target(coord, target, places, mags, detector.pixel_scale)
+        coord, target, places, mags = found
         if wcs is not None:
             place, scale, fields["matrix"] = star_frame(coord, detector.shape, wcs)
             detector = detector.replace(pixel_scale=scale)
@@ -286,14 +276,12 @@ class Scene(Value):
             detector, psf = detector.replace(psf=psf), None
         ra, dec = coord.icrs.ra.deg, coord.icrs.dec.deg
         base = cls(target, detector, motion, ra=ra, dec=dec, orientation=orientation, **fields)
-        stars = place_stars(base, places, mags, others, magnitude_limit, background_stars, psf)
+        stars = place_stars(base, places, mags, magnitude_limit, background_stars, psf)
         return base.replace(stars=stars)
 
     @documented()
     def plot(self, ax=None):
         """Draw the stamp with the track of the target and the places of the other stars.
-
-        Nothing is simulated.
 
         Parameters
         ----------

@@ -29,20 +29,18 @@ class Star(Value):
     mag : float or Quantity
         Magnitude in the mission's band (Kp or T).
     x_0, y_0 : float, Quantity or None, optional
-        Column and row of the reference position on the stamp, pixels from 0, to which the motion
-        is added. None is the center of the stamp.
+        Column and row of the reference position on the stamp, pixels from 0; None is its center.
     psf : astropy.modeling.Model or None, optional
         A density with the parameters flux, x_0 and y_0, as `BivariateGaussianPSF` or photutils'
         PSFs, or a sum of several. It is scaled to a total flux of 1, and its first component is
         put at the star's position. None takes the detector's PSF.
     signal : astropy.modeling.Model or callable or array_like or None, optional
-        Relative flux of each cadence: a one-dimensional model or a function of time (days), or
-        one number per cadence. It is the mean over the cadence:
-        `~scope_models.TransitModel` averages with its ``exposure_time``. None is constant.
+        Mean relative flux of each cadence: a one-dimensional model or a function of time (days),
+        or one number per cadence. None is constant.
     coord : SkyCoord or None, optional
-        Place on the sky, in place of ``x_0`` and ``y_0``: a scene puts the star where its world
-        coordinates say. With a proper motion it needs an ``obstime``, and is moved to the middle
-        of the scene's motion. Of the target it is the place that the stamp looks at.
+        Place on the sky, in place of ``x_0`` and ``y_0``; of the target the place that the stamp
+        looks at. With a proper motion it needs an ``obstime``, and is moved to the middle of the
+        scene's motion.
 
     Raises
     ------
@@ -59,8 +57,6 @@ class Star(Value):
     >>> star = Star(12.0, 5.1, 4.9, signal=lambda time: 1 - 0.01 * (np.abs(time - 1) < 0.1))
     >>> star.relative_flux(np.array([0.5, 1.0, 1.5]))
     array([1.  , 0.99, 1.  ])
-    >>> star.replace(mag=13.0).mag
-    13.0
     """
 
     mag: float = number(unit=u.mag, any_sign=True)
@@ -91,7 +87,7 @@ class Star(Value):
         Returns
         -------
         ndarray of shape (n,)
-            Finite and not negative; 1 is the star's magnitude.
+            1 is the star's magnitude.
 
         Raises
         ------
