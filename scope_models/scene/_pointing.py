@@ -39,10 +39,9 @@ class Pointing(Value):
         return cadence * np.arange(n_cadences)
 
     def track(self, time, streams):
-        """Return offsets x and y, px, at times in days, and masks of cadences to flag, a dict.
+        """Return offsets x and y, px, at times in days, and cadences to flag by names of bits.
 
-        The masks have the meanings of quality bits as names; ``streams`` is a function of a name
-        that returns a random generator at its beginning.
+        ``streams`` is a function of a name that returns a random generator at its beginning.
         """
         raise NotImplementedError
 
@@ -66,8 +65,8 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
     for meaning, cadences in flags.items():
         quality[cadences] |= getattr(mission.quality, meaning)
     meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}, "seed": seed}
-    fields = {"x": x, "y": y, "quality": quality, "time_format": zero, "meta": meta}
-    return fields | {"time": first_time(start, zero) + time}
+    time = first_time(start, zero) + time
+    return {"time": time, "x": x, "y": y, "quality": quality, "time_format": zero, "meta": meta}
 
 
 def _due(time, interval, generator):
@@ -83,9 +82,7 @@ class KeplerPointing(Pointing):
     Velocity aberration stretches the field by :math:`s(t) = (v / c) \cos\beta \cos(2 \pi t /
     \mathrm{yr} + \phi)` at the ecliptic latitude :math:`\beta`: a star at :math:`(X, Y)` drifts by
     :math:`s (X, Y)` less the mean. To this come red noise, the heaters' cycle and white jitter.
-    Numbers without another source are measured on POS_CORR of Kepler-62 in quarter 5: its range
-    along columns and rows is 0.123 and 0.092 px, here 0.122 and 0.090; its robust scatter about a
-    running median of 49 cadences 0.00022 and 0.00020 px, here 0.00024 and 0.00027.
+    Numbers without another source are measured on POS_CORR of Kepler-62 in quarter 5.
 
     Parameters
     ----------
@@ -100,8 +97,8 @@ class KeplerPointing(Pointing):
     drift, drift_time : float or Quantity
         Standard deviation of the red noise per axis, px, and its correlation time, days.
     heater, heater_period : float or Quantity
-        Amplitude of the heaters' cycle along columns, px, and its period, hours. No line between
-        2 and 9 h is stronger than 3e-5 px.
+        Amplitude of the heaters' cycle along columns, px (measured: below 3e-5), and its period,
+        hours.
     jitter : float or Quantity
         Standard deviation of the white noise of a long cadence per axis, px.
     dump_interval : float or Quantity
@@ -148,10 +145,9 @@ class TESSPointing(Pointing):
     r"""The pointing of TESS over a sector, and a star at some distance from the boresight.
 
     Velocity aberration stretches the field by :math:`s(t) = (v / c) \sin(2 \pi (t - t_m) /
-    \mathrm{yr})` about the middle :math:`t_m` of the sector, when the spacecraft looks across its
-    orbit. The control loop makes successive cadences anticorrelated: the jitter is
-    :math:`\epsilon_i - b \epsilon_{i-1}`, measured on POS_CORR of TIC 273589987 (sector 15,
-    120 s). For other cadences it falls with the square root of the length.
+    \mathrm{yr})` about the middle :math:`t_m` of the sector. The jitter is :math:`\epsilon_i - b
+    \epsilon_{i-1}`, as the control loop makes it, measured on POS_CORR of TIC 273589987 (sector
+    15, 120 s); it falls with the square root of the cadence.
 
     Parameters
     ----------
@@ -171,8 +167,8 @@ class TESSPointing(Pointing):
     dump_offset : float or Quantity
         Standard deviation of the offset in the flagged cadence of a dump, px; assumed.
     orbit_time, gap_time : float or Quantity
-        Length of the observations of an orbit, and of the gap between the orbits, days: 13.2 and
-        1.13 in sector 1 (TESS data release notes).
+        Length of the observations of an orbit, and of the gap between orbits, days (sector 1, TESS
+        data release notes).
 
     Examples
     --------
@@ -250,7 +246,7 @@ class GroundTracking(Pointing):
     Examples
     --------
     >>> from scope_models.scene.motion import GroundTracking
-    >>> print(f"{GroundTracking(aperture=1.0, seeing=1.0).image_motion:.3f}")
+    >>> round(GroundTracking().image_motion, 3)
     0.305
     """
 
@@ -339,10 +335,10 @@ class FailingWheels(Pointing):
     spread : float or Quantity
         Standard deviation of the walk per axis after one day, px.
     jump : float or Quantity
-        Standard deviation of a jump per axis at the end of the first day, px; it grows with the
-        square root of time.
+        Standard deviation of a jump per axis after one day, px; it grows with the square root of
+        time.
     jump_interval : float or Quantity
-        Mean time between jumps, days. Their cadences are flagged as of coarse pointing.
+        Mean time between jumps, days, which are flagged as of coarse pointing.
 
     Examples
     --------
@@ -398,11 +394,10 @@ class K2Roll(Pointing):
     each cadence, so that a star is somewhere between the two sides while thrusters fire.
 
     The defaults describe EPIC 205998445 (campaign 3), with numbers measured on POS_CORR of stars in
-    campaigns 3, 4, 5 and 18. Over 1000 cadences the standard deviation along the roll is 0.044 px
-    per degree from the boresight, 0.030 px of it faster than a day, as of a star of campaign 3
-    (0.045 and 0.030). Over whole campaigns it is 0.052 and 0.033, where six stars have 0.054 to
-    0.070 and 0.033 to 0.041: real rates double at the second reversal, which is not modeled, nor
-    are momentum dumps. For whole campaigns ``solar_rate=4.5`` is closer, 0.063 and 0.039.
+    campaigns 3, 4, 5 and 18. Momentum dumps are not modeled, nor that real rates double at the
+    second reversal: 1000 cadences have the standard deviation along the roll of a star of campaign
+    3, whole campaigns 0.052 px per degree from the boresight, six real stars 0.054 to 0.070.
+    ``solar_rate=4.5`` gives 0.063.
 
     Parameters
     ----------
@@ -426,8 +421,8 @@ class K2Roll(Pointing):
     reset_scatter : float or Quantity
         Standard deviation of the roll angle after a firing, arcsec (measured: 7.9 to 8.4).
     roll_jitter, roll_jitter_time : float or Quantity
-        Standard deviation of the residual roll, arcsec (measured: 0.25 to 0.31 about the
-        quadratics), and its correlation time, hours.
+        Standard deviation of the residual roll, arcsec (measured: 0.25 to 0.31), and its
+        correlation time, hours.
     pointing_jitter : float or Quantity
         Standard deviation of the residual pointing per axis, arcsec (measured: 0.0030 to 0.0044).
     orbital_speed : float or Quantity
@@ -452,9 +447,6 @@ class K2Roll(Pointing):
     >>> from scope_models.scene.motion import K2Roll
     >>> K2Roll(solar_rate=3.0).solar_rate
     3.0
-    >>> K2Roll(deadband=-1.0)
-    Traceback (most recent call last):
-    ValueError: `deadband` must not be negative, got -1.0
     """
 
     field: tuple = number((-4.59, 1.35), u.deg)
@@ -557,17 +549,15 @@ class K2Campaign18(Pointing):
     """The pointing of K2 campaign 18: nominal but for one excursion.
 
     The K2 data release notes give less than 1.9 px for 2490 long cadences, but for the cadences
-    162613 to 162627 with more than 4 px, and the very last one. Both are flagged as of coarse
-    pointing. The roll is that of `~scope_models.scene.motion.K2Roll` with the reversals of the
-    star EPIC 211983544.
+    162613 to 162627 with more than 4 px, and the last one, which are flagged as of coarse pointing.
+    The roll is that of `~scope_models.scene.motion.K2Roll` with the reversals of EPIC 211983544.
 
     Parameters
     ----------
     excursion : float or Quantity
         Displacement of the boresight along a random direction in the flagged cadences, px.
     field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg; the default is that
-        of EPIC 211983544.
+        Distance from the boresight along columns and rows, deg; by default that of the star.
 
     Examples
     --------
@@ -598,10 +588,9 @@ class K2Campaign18(Pointing):
 class K2FinalCampaign(Pointing):
     """The pointing of K2 campaign 19, in which the fuel ran out.
 
-    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days with
-    the boresight off target, so that nearly all stars were outside of their pixels; 7 days of
-    nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll fluctuated
-    erratically", with usable parts up to cadence 168481. The roll of
+    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days off
+    target; 7 days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight
+    and roll fluctuated erratically", with usable parts up to cadence 168481. The roll of
     `~scope_models.scene.motion.K2Roll` goes on in all of them.
 
     The first part and cadences after the last usable one are flagged as without fine pointing; the
@@ -611,17 +600,17 @@ class K2FinalCampaign(Pointing):
     Parameters
     ----------
     off_target_time, nominal_time, erratic_length : float or Quantity
-        Length of the first and of the second part, and time from then on with fine pointing,
-        days; those of the notes' cadence numbers.
+        Length of the first and second part, and of that with fine pointing in the last, days, by
+        the notes' cadence numbers.
     off_target : float or Quantity
         Displacement of the boresight in the first part, px; assumed.
     erratic, erratic_time : float or Quantity
         Standard deviation of the boresight per axis in the last part, px, and its correlation
-        time, hours; assumed.
+        time, hours, both assumed.
     erratic_roll : float or Quantity
         Standard deviation of the additional roll in the last part, arcsec; assumed.
     field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg.
+        Distance from the boresight along columns and rows, deg.
 
     Examples
     --------

@@ -42,12 +42,10 @@ class CommonMotion(Motion):
     Examples
     --------
     >>> from scope_models.scene.common import CommonMotion
-    >>> zero, error = [0.0, 0.0], [0.001, 0.001]
-    >>> motion = CommonMotion(
-    ...     [0.0, 0.02], zero, zero, x_err=error, y_err=error, roll=[0.0, 1e-4], scale=zero,
-    ...     roll_err=zero, scale_err=zero, place=(500.0, 500.0))
-    >>> motion.at(700.0, 500.0).y
-    array([0.  , 0.02])
+    >>> names = ("x", "y", "x_err", "y_err", "scale", "roll_err", "scale_err")
+    >>> motion = CommonMotion(time=[0.0], roll=[1e-4], **dict.fromkeys(names, [0.0]))
+    >>> motion.at(200.0, 0.0).y
+    array([0.02])
     """
 
     x_err: np.ndarray = None
