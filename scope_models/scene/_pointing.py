@@ -5,7 +5,6 @@ from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
-from scipy.interpolate import PPoly
 
 from scope_models._arrays import PER_PIXEL, TIME_ZEROS, plain_time
 from scope_models._checks import check_fields, checked_choice, checked_integer, number
@@ -522,10 +521,16 @@ class K2Roll(Pointing):
 
 
 def cadence_means(times, state, edges):
-    """Return means over cadences of an angle with this value, rate and acceleration at times."""
-    angle, omega, alpha = state.T
-    pieces = PPoly([alpha / 2, omega, angle], np.append(times, max(times[-1], edges[-1]) + 1))
-    return np.diff(pieces.antiderivative()(edges)) / np.diff(edges)
+    """Return the exact mean over each cadence of an angle that is quadratic in pieces."""
+
+    def integral(piece, tau):
+        angle, omega, alpha = state[piece].T
+        return tau * (angle + tau * (omega / 2 + tau * alpha / 6))
+
+    complete = integral(np.arange(len(times) - 1), np.diff(times))
+    before = np.concatenate([[0.0], np.cumsum(complete)])
+    piece = np.searchsorted(times, edges, side="right") - 1
+    return np.diff(before[piece] + integral(piece, edges - times[piece])) / np.diff(edges)
 
 
 def _red_noise(generator, n, correlation):
