@@ -155,9 +155,9 @@ def read(cls, path):
     Parameters
     ----------
     path : str or path-like
-        A file of `write`, or a target pixel file that this package wrote. A detector may also be
-        in TOML: see `~scope_models.read_detector`. A motion may also be a table in ECSV with time,
-        x, y, quality and cadenceno, whose units convert, and with time_format in its header.
+        A file of `write`, or a target pixel file of this package. A detector may also be in TOML:
+        see `~scope_models.read_detector`. A motion may also be in ECSV with the columns time, x, y,
+        quality and cadenceno, and with time_format in its header.
 
     Returns
     -------

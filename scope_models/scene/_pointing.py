@@ -594,9 +594,9 @@ class K2FinalCampaign(Pointing):
     """The pointing of K2 campaign 19, in which the fuel ran out.
 
     The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days off
-    target; 7 days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight
-    and roll fluctuated erratically", with usable parts up to cadence 168481. The roll of
-    `~scope_models.scene.motion.K2Roll` goes on in all of them.
+    target; 7 days of nominal pointing with less than 1.5 px; and 11 days of erratic boresight and
+    roll, with usable parts up to cadence 168481. The roll of `~scope_models.scene.motion.K2Roll`
+    goes on in all of them.
 
     The first part and cadences after the last usable one are flagged as without fine pointing; the
     first part, and where a star at the edge of the field moves farther than the 3 px for which the

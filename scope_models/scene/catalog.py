@@ -71,9 +71,8 @@ def star_counts(mag, coord):
     --------
     >>> from astropy.coordinates import SkyCoord
     >>> from scope_models.scene.catalog import star_counts
-    >>> pole = SkyCoord(0, 90, unit="deg", frame="galactic")
-    >>> print(star_counts([12, 16, 20], pole).round())
-    [  11.  188. 1440.]
+    >>> print(star_counts([12, 16], SkyCoord(0, 90, unit="deg", frame="galactic")).round())
+    [ 11. 188.]
     """
     m = plain_array(mag, u.mag, "mag")
     check_coord(coord)

@@ -176,12 +176,8 @@ class Motion(Value):
     --------
     >>> from scope_models import Motion
     >>> motion = Motion(time=[0.0, 0.5, 1.0], x=[0.0, 0.1, 0.2], y=[0.0, 0.0, -0.1])
-    >>> (5 * motion).x
-    array([0. , 0.5, 1. ])
-    >>> len(motion[1:])
-    2
-    >>> len(motion + Motion([2.0], [0.0], [0.0], cadenceno=[7]))
-    4
+    >>> (5 * motion[1:]).x
+    array([0.5, 1. ])
     """
 
     time: np.ndarray
@@ -259,8 +255,8 @@ class Motion(Value):
     ):  # fmt: skip
         """Make a motion of arrays that may hold unusable values.
 
-        A position is unusable if x or y is not finite, or is 50 px or more: archive files have
-        such values where no position was measured. A time is unusable if it is not finite.
+        Values that are not finite are unusable, and positions of 50 px or more, as archive files
+        have where none was measured.
 
         Parameters
         ----------
@@ -281,8 +277,7 @@ class Motion(Value):
             exclude" (256, in TESS times 128) for a position, "no data" (65536; in TESS times
             "manual exclude") for a time. "drop" leaves the cadence out, "error" raises.
         meta : mapping, optional
-            What is known of the source; "n_bad", the number of cadences with unusable values,
-            is added to it.
+            What is known of the source; "n_bad", the number of unusable cadences, is added.
         pixel_scale : float, Quantity or Detector, optional
             Size of a pixel in arcsec, to convert offsets that are angles.
 
@@ -335,13 +330,12 @@ class Motion(Value):
         Returns
         -------
         Motion
-            The motion; its ``meta`` has the name of the file and the header's mission, object,
-            campaign, quarter or sector, position on the sky and detector.
+            The motion; its ``meta`` has the name of the file and facts of its header.
 
         Raises
         ------
-        FileNotFoundError, IsADirectoryError
-            If there is no such file, or it is a folder.
+        OSError
+            If the file cannot be opened.
         ValueError
             If it is no FITS file, lacks a column, or `from_arrays` refuses its columns.
 
@@ -368,7 +362,7 @@ class Motion(Value):
         Parameters
         ----------
         tpf : lightkurve.TargetPixelFile or lightkurve.LightCurve
-            The object. Light curves have positions if they were read from archive files.
+            The object; a light curve of an archive file.
         bad : {"interpolate", "drop", "error"}, optional
             What becomes of unusable times and positions: see `from_arrays`.
 
@@ -379,10 +373,8 @@ class Motion(Value):
 
         Raises
         ------
-        TypeError
-            If the object has no time, or no POS_CORR1 and POS_CORR2.
-        ValueError
-            If `from_arrays` refuses its columns.
+        TypeError, ValueError
+            If the object lacks a column, or `from_arrays` refuses its columns.
 
         Examples
         --------
@@ -414,9 +406,8 @@ class Motion(Value):
         Returns
         -------
         scope_models.scene.common.CommonMotion
-            The motion, about the place on the CCD where it is known best. Its ``meta`` has
-            ``stars``, the files that count, and ``left_out``, the reason for each star that
-            disagrees.
+            The motion, about the place where it is known best. Its ``meta`` has ``stars``, the
+            files that count, and ``left_out``, the reasons against others.
 
         Raises
         ------
@@ -449,9 +440,9 @@ class Motion(Value):
         n_cadences : int
             Number of cadences.
         start : float, Quantity or Time, optional
-            Time of the first cadence in days; the default is the beginning of K2 campaign 3.
+            Time of the first cadence, days; by default the beginning of K2 campaign 3.
         cadence : float or Quantity, optional
-            Time between cadences in days; the default is Kepler's long cadence.
+            Time between cadences, days; by default Kepler's long cadence.
         time_format : {"bkjd", "btjd"}, optional
             Zero of the times.
 

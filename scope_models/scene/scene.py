@@ -26,6 +26,8 @@ from scope_models.scene.star import Star
 __all__ = ["Scene"]
 
 _SAME = 0.1  # deg
+_KINDS = {"detector": (Detector, "a Detector"), "motion": (Motion, "a Motion")}
+_KINDS |= {"object_name": (str | None, "text"), "metadata": (Mapping, "a mapping")}
 # Header cards on the star and on the place of the stamp.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "column", "row")
 
@@ -110,19 +112,15 @@ class Scene(Value):
         put("stars", checked_several("stars", self.stars, Star))
         if not self.stars:
             raise ValueError("`stars` must hold at least one star")
-        for name, kind in (("detector", Detector), ("motion", Motion)):
+        for name, (kind, wanted) in _KINDS.items():
             if not isinstance(getattr(self, name), kind):
-                raise TypeError(f"`{name}` must be a {kind.__name__}, got {getattr(self, name)!r}")
+                raise TypeError(f"`{name}` must be {wanted}, got {getattr(self, name)!r}")
         put("noise", noise_terms(self.noise))
         check_fields(self)
         own = isinstance(self.effects, str) and self.effects == "mission"
         effects = mission_effects(self.detector) if own else self.effects
         put("effects", checked_several("effects", effects, Effect))
         self._put_on_sky()
-        if not isinstance(self.object_name, str | None):
-            raise TypeError(f"`object_name` must be text, got {self.object_name!r}")
-        if not isinstance(self.metadata, Mapping):
-            raise TypeError(f"`metadata` must be a mapping, got {self.metadata!r}")
         put("metadata", MappingProxyType(dict(self.metadata)))
 
     def __iter__(self):
