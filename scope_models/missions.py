@@ -1,4 +1,7 @@
-"""The missions: every number and name that a mission fixes, once, with its source."""
+"""The missions: every number and name that a mission fixes, once.
+
+The docstrings of `Detector.kepler` and `Detector.tess` have the sources of numbers without one.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -316,9 +319,6 @@ _TESS_BITS = QualityBits(
     argabrightening=16, cosmic_ray=64, manual_exclude=128, impulsive_outlier=512,
     collateral_cosmic_ray=1024, scattered_light=4096, rejected=17087,
 )  # fmt: skip
-# Frames and offsets: headers of target pixel files. Pixel scale: KSCI-19033 (Kepler Instrument
-# Handbook). Zero points: Kepler GO calibration page; KSCI-19033-002, section 7.5. Wells of the 84
-# channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
 _KEPLER = Mission(
     name="Kepler", telescope="Kepler", instrument="Kepler Photometer", template="kepler", band="Kp",
     time_format="bkjd", time_unit="BJD - 2454833",
@@ -339,8 +339,6 @@ _K2 = replace(
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
     displays=("D14.7", "E14.7", "B24.24"), field_center=(336.6667, -11.0967),
 )  # fmt: skip
-# Frames and offsets: headers of target pixel files. The rest: TESS Instrument Handbook. On board,
-# the mitigation of cosmic rays drops the highest and lowest of ten reads, except in 20-s data.
 _TESS = Mission(
     name="TESS", telescope="TESS", instrument="TESS Photometer", template="tess", band="T",
     time_format="btjd", time_unit="BJD - 2457000, days",

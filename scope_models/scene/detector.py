@@ -241,27 +241,20 @@ class Detector(Value):
 
         Notes
         -----
-        ======================= ==================== ==========================================
-        field                   value                source
-        ======================= ==================== ==========================================
-        shape                   (11, 11) px          our choice
-        pixel_scale             3.98 arcsec          KSCI-19033 (Kepler Instrument Handbook)
-        zero_point              1.74e5 e-/s, Kp = 12 optimal aperture: Kepler GO calibration page
-        "focal plane"           2.141e5 e-/s         KSCI-19033-002, section 7.5
-        int_time, read_time     6.019802903270 s,    headers of target pixel files
-                                0.518948526144 s
-        n_frames                270 (long), 9        headers of target pixel files
-        gain                    110 e-/DN            target pixel files: 105 to 114
-        read_noise              90 e-                target pixel files: 85 to 112
-        background              166 e-/s/px          Kepler telescope page
-        well_depth              1.08e6 e-            median of KSCI-19033, table 13
-        fixed_offset            419400 (long),       LCFXDOFF and SCFXDOFF in the headers of
-                                219400 DN            target pixel files
-        mean_black              720 DN               MEANBLCK, target pixel files: 712 to 744
-        sensitivity             {1, 0, -0.05}        Saunders et al., Eq. 2
-        interpixel_scatter      0.01, uniform        Saunders et al.: "up to 1 %"
-        psf                     Gaussian, 0.5 px     Saunders et al.
-        ======================= ==================== ==========================================
+        The values are on the page on noise; their sources, next to target pixel files (TPFs):
+
+        =================================== ========================================================
+        pixel_scale                         KSCI-19033 (Kepler Instrument Handbook)
+        zero_point                          "optimal aperture": Kepler GO calibration page; "focal
+                                            plane": KSCI-19033-002, section 7.5
+        int_time, read_time, n_frames       TPFs
+        gain, read_noise, mean_black        TPFs: 105 to 114 e-/DN, 85 to 112 e-, 712 to 744 DN
+        background                          Kepler telescope page
+        well_depth                          median of KSCI-19033, table 13
+        fixed_offset                        TPFs: LCFXDOFF and SCFXDOFF
+        sensitivity, psf                    Saunders et al., Eq. 2
+        interpixel_scatter                  Saunders et al.: "up to 1 %"
+        =================================== ========================================================
 
         Examples
         --------
@@ -344,29 +337,21 @@ class Detector(Value):
 
         Notes
         -----
-        ======================= ==================== ==========================================
-        field                   value                source
-        ======================= ==================== ==========================================
-        shape                   (11, 11) px          target pixel files
-        pixel_scale             21 arcsec            TESS Instrument Handbook
-        zero_point              1 e-/s, T = 20.44    TESS Instrument Handbook (+- 0.05 mag)
-        int_time, read_time     1.98 s, 0.02 s       headers of target pixel files
-        n_frames                cadence / 2 s        headers of target pixel files
-        live_fraction           0.8; 1 at 20 s       the cosmic-ray mitigation on board drops the
-                                                     highest and lowest of ten reads
-                                                     (handbook); 20-s data go without it
-        gain                    5.25 e-/DN           GAINA to GAIND, TIC 273589987: 5.21 to 5.28
-        read_noise              10 e-                TESS Instrument Handbook
-        background              134 e-/s/px          FLUX_BKG of TIC 273589987, sector 15
-        well_depth              2e5 e-               TESS Instrument Handbook
-        fixed_offset            209700 DN            FXDOFF of TIC 273589987
-        mean_black              6812 DN              MEANBLCA of TIC 273589987
-        sensitivity             {1, 0, -0.05}        assumed: the paper's, for Kepler
-        interpixel_scatter      0.01, uniform        assumed: the paper's, for Kepler
-        psf                     Gaussians: 45 % with assumed; 83 % of its light is in the optimal
-                                sigma 0.55 px, 55 %  aperture of TIC 273589987, sector 15, where
-                                with 1.25 px         FLFRCSAP is 84 %
-        ======================= ==================== ==========================================
+        The values are on the page on noise; their sources, next to target pixel files (TPFs):
+
+        =================================== ========================================================
+        pixel_scale, read_noise, well_depth TESS Instrument Handbook
+        zero_point                          TESS Instrument Handbook (+- 0.05 mag)
+        int_time, read_time, n_frames       TPFs
+        live_fraction                       the cosmic-ray mitigation on board drops the highest and
+                                            lowest of ten reads (handbook), but at 20 s
+        gain                                GAINA to GAIND of TIC 273589987: 5.21 to 5.28
+        background                          FLUX_BKG of TIC 273589987, sector 15
+        fixed_offset, mean_black            FXDOFF and MEANBLCA of TIC 273589987
+        sensitivity, interpixel_scatter     assumed: the paper's, for Kepler
+        psf                                 assumed; 83 % of its light is in the optimal aperture of
+                                            TIC 273589987, sector 15, where FLFRCSAP is 84 %
+        =================================== ========================================================
 
         Examples
         --------
@@ -414,29 +399,21 @@ class Detector(Value):
 
         Notes
         -----
-        ======================= ==================== ==========================================
-        field                   value                source
-        ======================= ==================== ==========================================
-        shape                   (21, 21) px          our choice
-        zero_point              above the atmosphere 3640, 3080, 2550 Jy of width 0.16, 0.23,
-                                                     0.19 in V, R, I (Bessell 1979); 1.51e7
-                                                     photons / (s m2 Jy); the throughput, 0.4,
-                                                     is assumed
-        background              21.6, 20.9, 19.7 mag V, R, I, dark sky at the zenith of Paranal
-                                per arcsec2          (Patat 2003, A&A 400, 1183)
-        int_time, read_time     60 s, 10 s           our choice
-        gain, read_noise,       1 e-/DN, 7 e-,       assumed: typical of cooled CCDs
-        well_depth              1e5 e-
-        interpixel_scatter      0.002, normal        assumed: what flat fields leave
-        psf                     Moffat of the seeing :math:`\beta = 4.765` (Trujillo et al. 2001):
-                                                     `~scope_models.models.moffat_psf`
-        effects                 Extinction           0.11, 0.07, 0.05 mag per airmass in V, R, I
-                                                     (Patat 2003)
-        \                       Scintillation        Osborn et al. (2015)
-        \                       Seeing               width with the airmass to the power of 0.6;
-                                                     changes of 15 percent are assumed
-        \                       DarkCurrent          0.1 e-/s, assumed
-        ======================= ==================== ==========================================
+        The values are on the page on noise; their sources:
+
+        =================================== ========================================================
+        zero_point                          `~scope_models.scene.presets.BANDS` above the atmosphere
+                                            (Bessell 1979); the throughput is assumed
+        background, Extinction              BANDS: Paranal, dark sky (Patat 2003, A&A 400, 1183)
+        gain, read_noise, well_depth        assumed: typical of cooled CCDs
+        interpixel_scatter                  assumed: what flat fields leave
+        psf                                 Moffat of the seeing, :math:`\beta = 4.765` (Trujillo et
+                                            al. 2001): `~scope_models.models.moffat_psf`
+        Scintillation                       Osborn et al. (2015)
+        Seeing                              width with the airmass to the power of 0.6; changes of
+                                            15 percent are assumed
+        DarkCurrent                         assumed: 0.1 e-/s
+        =================================== ========================================================
 
         `Motion.ground <scope_models.Motion.ground>` is the motion, and moonlight the effect
         `~scope_models.effects.NightSky` of a scene.
