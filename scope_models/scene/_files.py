@@ -349,12 +349,9 @@ def _combined(values, name, combine, default=None):
 
 
 def _named(tables, name, key, default=None):
-    """Return the name under a key, and the other values, of one table or several."""
-    found = []
+    """Yield the name under a key, and the other values, of one table or several."""
     for table in tables if isinstance(tables, list) else [tables]:
         if not isinstance(table, dict) or not isinstance(table.get(key, default), str):
             wanted = f"a table with the name of its `{key}`"
             raise ValueError(f"`{name}` must be {wanted}, got {table!r}")  # noqa: TRY004
-        parameters = dict(table)
-        found.append((parameters.pop(key, default), parameters))
-    return found
+        yield table.get(key, default), {k: v for k, v in table.items() if k != key}
