@@ -392,11 +392,11 @@ class K2Roll(Pointing):
     2) / \mathrm{yr})` less its mean over a campaign of length :math:`T`. Positions are means over
     each cadence, so that a star is somewhere between the two sides while thrusters fire.
 
-    The defaults describe EPIC 205998445 (campaign 3), with numbers measured on POS_CORR of stars in
-    campaigns 3, 4, 5 and 18. Momentum dumps are not modeled, nor that real rates double at the
-    second reversal: 1000 cadences have the standard deviation along the roll of a star of campaign
-    3, whole campaigns 0.052 px per degree from the boresight, six real stars 0.054 to 0.070.
-    ``solar_rate=4.5`` gives 0.063.
+    The defaults describe EPIC 205998445 (campaign 3); the page on generated K2 motion has the
+    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Momentum dumps are
+    not modeled, nor that real rates double at the second reversal: 1000 cadences move along the
+    roll as much as a star of campaign 3, whole campaigns with a standard deviation of 0.052 px per
+    degree from the boresight, six real stars 0.054 to 0.070. ``solar_rate=4.5`` gives 0.063.
 
     Parameters
     ----------
@@ -404,26 +404,24 @@ class K2Roll(Pointing):
         Distance :math:`(X, Y)` from the boresight along columns and rows, deg.
     solar_rate : float or Quantity
         Amplitude :math:`R` of the roll rate, arcsec/h, from columns to rows before the first
-        reversal (measured: 2.1 to 3.3 before the second reversal, 3.7 to 6.1 after it).
+        reversal.
     reversal, reversal_interval : float or Quantity
         Time :math:`t_r` of the first reversal of the roll from the beginning, and :math:`T_r` from
-        one to the next, days (measured in campaign 3: 9.3 and 36).
+        one to the next, days.
     rate_growth : float or Quantity
-        Relative growth :math:`\kappa` of the rate since the last reset per hour (measured:
-        0.027 to 0.046).
+        Relative growth :math:`\kappa` of the rate since the last reset per hour.
     rate_scatter : float
-        Standard deviation of :math:`g_k` (measured: 0.13 to 0.19).
+        Standard deviation of :math:`g_k`.
     reset_interval, reset_jitter : float or Quantity
         Time between occasions to fire, 12 long cadences, and its standard deviation, hours.
     deadband : float or Quantity
-        Largest roll angle without a firing, arcsec (measured: 3 to 14).
+        Largest roll angle without a firing, arcsec.
     reset_scatter : float or Quantity
-        Standard deviation of the roll angle after a firing, arcsec (measured: 7.9 to 8.4).
+        Standard deviation of the roll angle after a firing, arcsec.
     roll_jitter, roll_jitter_time : float or Quantity
-        Standard deviation of the residual roll, arcsec (measured: 0.25 to 0.31), and its
-        correlation time, hours.
+        Standard deviation of the residual roll, arcsec, and its correlation time, hours.
     pointing_jitter : float or Quantity
-        Standard deviation of the residual pointing per axis, arcsec (measured: 0.0030 to 0.0044).
+        Standard deviation of the residual pointing per axis, arcsec.
     orbital_speed : float or Quantity
         Speed :math:`v`, km/s; negative where the field lies ahead, 0 for no aberration.
     campaign : float or Quantity

@@ -148,8 +148,7 @@ class Motion(Value):
 
     Positions are offsets from a reference position and always finite; class methods read or
     generate them. ``c * motion`` scales the offsets, ``motion[a:b]``, ``motion[mask]`` and
-    ``motion[i]`` choose cadences, and ``a + b`` joins two motions if the second one begins after
-    the first (else see `concatenate`). Two motions are equal if all their values are.
+    ``motion[i]`` choose cadences, and ``a + b`` joins motions, as `concatenate`.
 
     Parameters
     ----------
@@ -394,8 +393,8 @@ class Motion(Value):
         The positions of each star are those in its pixels, from a fit of one Gaussian and of the
         neighbors that are found, and POS_CORR where the file has it. They are an offset and a
         linear map of pointing, roll and scale of the cadence, at the star's place, with residuals
-        of Student's t: stars count the less the more their positions scatter. Stars that the
-        motion of the others explains no better than noise are left out, unless all are.
+        of Student's t. Stars that the motion of the others explains no better than noise are left
+        out, unless all are.
 
         Parameters
         ----------
@@ -545,8 +544,7 @@ class Motion(Value):
         """Generate the motion of a star in one of K2's last campaigns.
 
         Cadences have the mission's numbers. In campaign 18, EPIC 211983544 has the standard
-        deviation 0.171 px along the direction of roll, here 0.135 to 0.156 px (20 seeds), and a
-        median step from one cadence to the next of 0.0115 px, here 0.013 px.
+        deviation 0.171 px along the direction of roll, here 0.135 to 0.156 px (20 seeds).
 
         {given}
 
@@ -671,7 +669,7 @@ class Motion(Value):
         Parameters
         ----------
         tpf : lightkurve.TargetPixelFile, str, path-like or scope_models.io.PixelSeries
-            The file; its first pixel is at 1CRV5P and 2CRV5P on the CCD.
+            The file.
 
         Returns
         -------

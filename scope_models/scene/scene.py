@@ -164,8 +164,7 @@ class Scene(Value):
         """Fields beside stars, detector and motion that are not their defaults, and the seed."""
         options = {"seed": self.seed, "noise": sorted(self.noise), "n_sub": self.n_sub}
         options |= {"effects": self.effects} if self.effects else {}
-        identity = {name: getattr(self, name) for name in _IDENTITY}
-        options |= {name: value for name, value in identity.items() if value is not None}
+        options |= _identity(self)
         return options | ({"metadata": dict(self.metadata)} if self.metadata else {})
 
     @property
@@ -307,6 +306,11 @@ def _places(scene):
     return np.where(np.isnan(given), middle, given)
 
 
+def _identity(scene):
+    given = {name: getattr(scene, name) for name in _IDENTITY}
+    return {name: value for name, value in given.items() if value is not None}
+
+
 def _middle_year(motion):
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
     return 2000.0 + float(days - 2451545.0) / 365.25
@@ -316,5 +320,4 @@ def scene_facts(scene):
     """Return the scene's target and stamp as fields of `TPFMetadata`."""
     x_0, y_0 = _places(scene)[0].tolist()
     facts = {"target_id": 1, "magnitude": scene.stars[0].mag, "x_0": x_0, "y_0": y_0}
-    facts |= {"seed": scene.seed} | dict(scene.metadata)
-    return facts | {name: value for name, value in scene.options.items() if name in _IDENTITY}
+    return facts | {"seed": scene.seed} | dict(scene.metadata) | _identity(scene)
