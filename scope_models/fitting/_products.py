@@ -20,8 +20,7 @@ from scope_models.models._description import describe_model, make_model, packed,
 from scope_models.models._parameters import numbers_of
 from scope_models.scene._files import describe_detector, make_detector
 from scope_models.scene.motion import Motion, offsets_at
-from scope_models.scene.scene import Scene
-from scope_models.scene.star import Star
+from scope_models.scene.scene import Scene, Star
 
 __all__ = [
     "SMOOTHING_DAYS", "make_scene", "psf_shape", "read_fit", "sensitivity_profiles", "smoothed",
