@@ -115,17 +115,17 @@ class Mission(Value):
     band : str
         Name of the band in which magnitudes are given.
     time_format : {"bkjd", "btjd"}
-        Format of times in lightkurve, which fixes `time_zero`.
+        Format of times in lightkurve.
     time_unit : str
-        Unit of the column TIME (TUNIT) in archive files.
+        Unit of the column TIME in archive files.
     start : float
-        Time of a first cadence, days since `time_zero`, where a motion is made up.
+        Time of the first cadence of a generated motion, days since `time_zero`.
     pixel_scale : float
         Size of a pixel on the sky, arcsec.
     zero_points : tuple of (str, float)
         Names and values of the flux of a star of ``zero_point_mag``, e-/s; the usual one first.
     zero_point_mag : float
-        Magnitude that belongs to them.
+        Their magnitude.
     int_time, read_time : float
         Exposure of a frame, and the time per frame in which none is recorded, s.
     cadences : tuple of Cadence
@@ -146,13 +146,13 @@ class Mission(Value):
     places : tuple of str
         What determines the place on the focal plane.
     absent_columns : tuple of str
-        Columns that its target pixel files lack, of all that there are.
+        Columns that its target pixel files lack.
     displays : tuple of str
         Display formats of 64-bit floats, 32-bit floats and flags.
     field_center : tuple of float
         Right ascension and declination of the middle of a field, deg.
     tpf_class : str
-        The class of lightkurve that holds its target pixel files.
+        The class of its target pixel files in lightkurve.
 
     Examples
     --------

@@ -213,11 +213,10 @@ class TESSPointing(Pointing):
 class GroundTracking(Pointing):
     r"""The tracking of a ground-based telescope in nights.
 
-    Each night the star is put on its place again to within ``pointing``, and then drifts. Wind
-    and image motion have the power spectrum :math:`f^{-5/3}` between the night and two cadences.
-    The image motion has the variance :math:`0.18 (\lambda / D)^{1/3} (\lambda / r_0)^{5/3}` per
-    axis [1]_ with :math:`r_0 = 0.98 \lambda / \mathrm{seeing}`, as in instantaneous exposures:
-    longer ones average some of it. Other numbers are assumed.
+    Each night the star is put on its place again, and then drifts. Wind and image motion have the
+    power spectrum :math:`f^{-5/3}` between the night and two cadences. The image motion has the
+    variance :math:`0.18 (\lambda / D)^{1/3} (\lambda / r_0)^{5/3}` per axis [1]_ with :math:`r_0 =
+    0.98 \lambda / \mathrm{seeing}`, that of short exposures. Other numbers are assumed.
 
     Parameters
     ----------
@@ -551,9 +550,9 @@ _DUMPS = 1.9616
 class K2Campaign18(Pointing):
     """The pointing of K2 campaign 18: nominal but for one excursion.
 
-    The K2 data release notes give less than 1.9 px for 2490 long cadences, but for the cadences
-    162613 to 162627 with more than 4 px, and the last one, which are flagged as of coarse pointing.
-    The roll is that of `~scope_models.scene.motion.K2Roll` with the reversals of EPIC 211983544.
+    In the K2 data release notes 2490 long cadences have less than 1.9 px, but 162613 to 162627 more
+    than 4 px; these and the last one are flagged as of coarse pointing. The roll is that of
+    `~scope_models.scene.motion.K2Roll` with the reversals of EPIC 211983544.
 
     Parameters
     ----------

@@ -154,11 +154,10 @@ class Scene(Value):
     motion : Motion
         The motion that all stars share.
     seed : int, optional
-        The seed of the interpixel map and of all noise; None takes one from the operating system
-        in each simulation.
+        The seed of the interpixel map and of all noise; None takes a new one in each simulation.
     noise : bool or str or iterable of str, optional
-        True for photon, background and read noise, False for none, or names out of "photon",
-        "background", "read" and "quantization".
+        Names out of "photon", "background", "read" and "quantization"; True for the first three,
+        False for none.
     n_sub : int, optional
         Exposures within a cadence over which the motion is averaged, along straight lines between
         the middles of the cadences. The relative flux is a mean over the cadence in any case.
@@ -471,7 +470,7 @@ def _find_target(coord, target, places, mags, pixel_scale):
     if not isinstance(target, Star | None):
         raise TypeError(f"`target` must be a Star, got {target!r}")
     distance = coord.separation(places).arcsec
-    nearest = np.argsort(distance)[:1]
+    nearest = np.argsort(distance, kind="stable")[:1]
     same = nearest[distance[nearest] <= pixel_scale]
     if target is None:
         if not len(same):
