@@ -52,25 +52,25 @@ class QualityBits(Value):
     attitude_tweak, safe_mode, coarse_point, earth_point, no_fine_point : int
         State of the spacecraft.
     desaturation : int
-        Momentum dump of the reaction wheels.
+        Momentum dump.
     thruster_firing, possible_thruster_firing : int
-        Firings of K2's thrusters, certain and possible.
+        Firings of K2's thrusters.
     argabrightening : int
-        Diffuse flash of light on the detectors.
+        Diffuse flash of light.
     scattered_light : int
-        Light of Earth or Moon that makes data unusable.
+        Light of Earth or Moon.
     cosmic_ray, collateral_cosmic_ray : int
         Cosmic rays in the optimal aperture, and in the collateral data.
     sensitivity_dropout : int
-        Sudden loss of a pixel's sensitivity.
+        Loss of a pixel's sensitivity.
     rolling_band, detector_anomaly, impulsive_outlier : int
-        Artifacts of the electronics, and cadences found to be outliers.
+        Artifacts of the electronics, and outliers.
     manual_exclude : int
         Left out by hand, or here without a measured position or time.
     no_data : int
         No data, and no time.
     rejected : int
-        The bits of the cadences that lightkurve leaves out by default.
+        The bits that lightkurve rejects by default.
 
     Examples
     --------

@@ -153,16 +153,15 @@ class TESSPointing(Pointing):
     field : tuple of float or Quantity
         Distance from the boresight along columns and rows, deg.
     orbital_speed : float or Quantity
-        Speed of the Earth, km/s.
+        Speed of the spacecraft, km/s.
     jitter : tuple of float or Quantity
         Standard deviation of the jitter along columns and rows, px, in 120 s.
     blue : float
-        The factor b; 0.35 gives the correlation of -0.31, 0 white noise.
+        The factor b; 0 is white noise.
     drift, drift_time : float or Quantity
-        Standard deviation of red noise per axis, px, and its correlation time, days; assumed.
+        Standard deviation of the red noise per axis, px, and its correlation time, days; assumed.
     dump_interval : float or Quantity
-        Time between momentum dumps, days: 2.5, 3.125 and 3.375 in sectors 1, 8 and 13 (TESS data
-        release notes).
+        Time between momentum dumps, days (sector 8, TESS data release notes).
     dump_offset : float or Quantity
         Standard deviation of the offset in the flagged cadence of a dump, px; assumed.
     orbit_time, gap_time : float or Quantity
@@ -476,15 +475,13 @@ class K2Roll(Pointing):
         angle = (roll + self.roll_jitter * noise) / _ARCSEC_PER_RADIAN
         arm_x, arm_y = (3600 * degrees / self.pixel_scale for degrees in self.field)
         middle = (edges[:-1] + hours / 2) / 24
-        # The field is larger by (v/c) cos(angle from the direction opposite to the velocity), which
-        # goes through zero in the middle of a campaign; less its mean over the campaign.
         angle_to_motion = 2 * np.pi / _DAYS_PER_YEAR * (middle - self.campaign / 2)
         stretch = np.cos(angle_to_motion) - np.sinc(self.campaign / _DAYS_PER_YEAR)
         stretch *= self.orbital_speed / _SPEED_OF_LIGHT
-        residual = streams("pointing").standard_normal((n_cadences, 2))
-        residual *= self.pointing_jitter / self.pixel_scale
-        x = stretch * arm_x - angle * arm_y + residual[:, 0]
-        y = stretch * arm_y + angle * arm_x + residual[:, 1]
+        jitter = self.pointing_jitter / self.pixel_scale
+        jitter_x, jitter_y = jitter * streams("pointing").standard_normal((n_cadences, 2)).T
+        x = stretch * arm_x - angle * arm_y + jitter_x
+        y = stretch * arm_y + angle * arm_x + jitter_y
         n_fired, _ = np.histogram([fired, fired + _FIRING], edges)
         return x, y, {"thruster_firing": n_fired > 0}
 
@@ -596,8 +593,8 @@ class K2FinalCampaign(Pointing):
     goes on in all of them.
 
     The first part and cadences after the last usable one are flagged as without fine pointing; the
-    first part, and where a star at the edge of the field moves farther than the 3 px for which the
-    apertures of K2 allow, as of coarse pointing.
+    first part, and where a star at the edge of the field moves farther than 3 px, for which
+    apertures allow, as of coarse pointing.
 
     Parameters
     ----------

@@ -241,17 +241,17 @@ class Detector(Value):
 
         Notes
         -----
-        The values are on the page on noise; their sources, next to target pixel files (TPFs):
+        The page on noise has the values and more of their sources; TPFs are target pixel files:
 
         =================================== ========================================================
         pixel_scale                         KSCI-19033 (Kepler Instrument Handbook)
         zero_point                          "optimal aperture": Kepler GO calibration page; "focal
                                             plane": KSCI-19033-002, section 7.5
         int_time, read_time, n_frames       TPFs
-        gain, read_noise, mean_black        TPFs: 105 to 114 e-/DN, 85 to 112 e-, 712 to 744 DN
+        gain, read_noise, mean_black        TPFs
+        fixed_offset                        TPFs: LCFXDOFF and SCFXDOFF
         background                          Kepler telescope page
         well_depth                          median of KSCI-19033, table 13
-        fixed_offset                        TPFs: LCFXDOFF and SCFXDOFF
         sensitivity, psf                    Saunders et al., Eq. 2
         interpixel_scatter                  Saunders et al.: "up to 1 %"
         =================================== ========================================================
@@ -337,20 +337,20 @@ class Detector(Value):
 
         Notes
         -----
-        The values are on the page on noise; their sources, next to target pixel files (TPFs):
+        The page on noise has the values and more of their sources; TPFs are target pixel files:
 
         =================================== ========================================================
         pixel_scale, read_noise, well_depth TESS Instrument Handbook
         zero_point                          TESS Instrument Handbook (+- 0.05 mag)
         int_time, read_time, n_frames       TPFs
-        live_fraction                       the cosmic-ray mitigation on board drops the highest and
-                                            lowest of ten reads (handbook), but at 20 s
-        gain                                GAINA to GAIND of TIC 273589987: 5.21 to 5.28
+        live_fraction                       TESS Instrument Handbook: the cosmic-ray mitigation drops
+                                            the highest and lowest of ten reads, but at 20 s
+        gain                                GAINA to GAIND of TIC 273589987
         background                          FLUX_BKG of TIC 273589987, sector 15
         fixed_offset, mean_black            FXDOFF and MEANBLCA of TIC 273589987
         sensitivity, interpixel_scatter     assumed: the paper's, for Kepler
-        psf                                 assumed; 83 % of its light is in the optimal aperture of
-                                            TIC 273589987, sector 15, where FLFRCSAP is 84 %
+        psf                                 assumed: 83 % of its light is in the optimal aperture of
+                                            TIC 273589987, where the header has 84 %
         =================================== ========================================================
 
         Examples
@@ -404,15 +404,12 @@ class Detector(Value):
         =================================== ========================================================
         zero_point                          `~scope_models.scene.presets.BANDS` above the atmosphere
                                             (Bessell 1979); the throughput is assumed
-        background, Extinction              BANDS: Paranal, dark sky (Patat 2003, A&A 400, 1183)
+        background                          BANDS: Paranal, dark sky (Patat 2003, A&A 400, 1183)
         gain, read_noise, well_depth        assumed: typical of cooled CCDs
         interpixel_scatter                  assumed: what flat fields leave
-        psf                                 Moffat of the seeing, :math:`\beta = 4.765` (Trujillo et
-                                            al. 2001): `~scope_models.models.moffat_psf`
-        Scintillation                       Osborn et al. (2015)
-        Seeing                              width with the airmass to the power of 0.6; changes of
-                                            15 percent are assumed
-        DarkCurrent                         assumed: 0.1 e-/s
+        psf                                 `~scope_models.models.moffat_psf` of the seeing
+        effects                             Extinction of BANDS, Scintillation, Seeing, DarkCurrent
+                                            of 0.1 e-/s (assumed): see `scope_models.effects`
         =================================== ========================================================
 
         `Motion.ground <scope_models.Motion.ground>` is the motion, and moonlight the effect
@@ -523,7 +520,7 @@ class Detector(Value):
         Raises
         ------
         ValueError
-            If a magnitude is not finite, or so small that single precision does not hold the flux.
+            If a magnitude is not finite or too small.
 
         Examples
         --------

@@ -50,7 +50,6 @@ _QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values(
 _LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
-_START = "by default that of a campaign of the mission"
 _LONGER = "A longer series begins like a shorter one."
 _BY_NAME = """cadence : str, float or Quantity, optional
     A cadence of the mission, by its name or length in seconds.
@@ -59,7 +58,7 @@ _INTERVAL = """cadence : float or Quantity, optional
     Time between cadences, """
 
 
-def _given(kind, number, further="", zero="BKJD", start=_START):
+def _given(kind, number, further=""):
     """Return the arguments of a generator, of which some have a further one, for its docstring."""
     return f"""Parameters
 ----------
@@ -68,7 +67,7 @@ n_cadences : int, optional
 {further}seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
 start : float, Quantity or Time, optional
-    Time of the first cadence, {zero}; {start}.
+    Time of the first cadence, BKJD (`tess`, `ground`: BTJD); by default that of a campaign.
 **parameters
     Fields of `~scope_models.scene.motion.{kind}` that differ from their defaults.
 
@@ -137,7 +136,7 @@ class MotionStatistics(Value):
         Returns
         -------
         astropy.table.QTable
-            One column with its unit for each of the attributes.
+            The attributes, with units.
         """
         return QTable([vars(self)])
 
@@ -155,8 +154,7 @@ class Motion(Value):
     time : array_like, Quantity or Time, shape (n,)
         Times in days, increasing strictly.
     x, y : array_like or Quantity, shape (n,)
-        Offsets along columns (POS_CORR1) and rows (POS_CORR2) in pixels; `from_arrays` converts
-        angles.
+        Offsets along columns (POS_CORR1) and rows (POS_CORR2) in pixels.
     quality : array_like of int, shape (n,), optional
         Quality flags; the default is 0.
     cadenceno : array_like of int, shape (n,), optional
@@ -273,8 +271,8 @@ class Motion(Value):
             "interpolate" (the default) replaces unusable values by a straight line in cadence
             number between usable neighbors (at the ends, positions stay and times go on at the
             same pace) and sets a quality flag that lightkurve's default bitmask rejects: "manual
-            exclude" (256, in TESS times 128) for a position, "no data" (65536; in TESS times
-            "manual exclude") for a time. "drop" leaves the cadence out, "error" raises.
+            exclude" for a position, "no data" for a time if the mission has that bit. "drop" leaves
+            the cadence out, "error" raises.
         meta : mapping, optional
             What is known of the source; "n_bad", the number of unusable cadences, is added.
         pixel_scale : float, Quantity or Detector, optional
@@ -467,17 +465,13 @@ class Motion(Value):
         return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
 
     @classmethod
-    @documented(
-        given=_given(
-            "K2Roll", f"long cadences. {_LONGER}", start="by default the beginning of campaign 3"
-        )
-    )
+    @documented(given=_given("K2Roll", f"long cadences. {_LONGER}"))
     def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
-        By default it is that of EPIC 205998445 in campaign 3. The default seed is the first one for
-        which the 1000 cadences of the paper [1]_ have its row, 0.17 +- 0.12 px and at most 0.59 px,
-        within 5 %. Cadences in which thrusters fire have the quality flag 1048576.
+        By default it is that of EPIC 205998445 in campaign 3, with the first seed for which 1000
+        cadences have the row of the paper [1]_, 0.17 +- 0.12 px and at most 0.59 px, within 5 %.
+        Cadences in which thrusters fire are flagged.
 
         {given}
 
@@ -491,8 +485,6 @@ class Motion(Value):
         >>> from scope_models import Motion
         >>> print(Motion.k2_roll().statistics())
         0.170 +- 0.118 px, max 0.595 px, extent 1.07 px
-        >>> print(Motion.k2_roll(field=(6.94, 0.0)).statistics())
-        0.247 +- 0.171 px, max 0.862 px, extent 1.56 px
         """
         return cls(**generate(K2Roll(**parameters), n_cadences, _LONG, start, seed, _K2))
 
@@ -515,7 +507,7 @@ class Motion(Value):
         return cls(**generate(KeplerPointing(**parameters), n_cadences, days, start, seed, _KEPLER))
 
     @classmethod
-    @documented(given=_given("TESSPointing", "cadences; by default a sector.", _BY_NAME, "BTJD"))
+    @documented(given=_given("TESSPointing", "cadences; by default a sector.", _BY_NAME))
     def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a TESS star over a sector of two orbits.
 
@@ -544,7 +536,7 @@ class Motion(Value):
         """Generate the motion of a star in one of K2's last campaigns.
 
         Cadences have the mission's numbers. In campaign 18, EPIC 211983544 has the standard
-        deviation 0.171 px along the direction of roll, here 0.135 to 0.156 px (20 seeds).
+        deviation 0.171 px along the roll, here it is 0.135 to 0.156 px.
 
         {given}
 
@@ -565,7 +557,7 @@ class Motion(Value):
         return motion.replace(cadenceno=number, meta=meta)
 
     @classmethod
-    @documented(given=_given("GroundTracking", "exposures.", f"{_INTERVAL}s.\n", "BTJD"))
+    @documented(given=_given("GroundTracking", "exposures.", f"{_INTERVAL}s.\n"))
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
