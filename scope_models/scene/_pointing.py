@@ -388,13 +388,13 @@ class K2Roll(Pointing):
     derivative. A star at :math:`(X, Y)` from the boresight is displaced by :math:`(s X - \theta Y,
     s Y + \theta X)`, with the stretch by velocity aberration :math:`s = (v / c) \cos(2 \pi (t - T /
     2) / \mathrm{yr})` less its mean over a campaign of length :math:`T`. Positions are means over
-    each cadence, so that a star is somewhere between the two sides while thrusters fire.
+    each cadence.
 
     The defaults describe EPIC 205998445 (campaign 3); the page on generated K2 motion has the
-    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Momentum dumps are
-    not modeled, nor that real rates double at the second reversal: 1000 cadences move along the
-    roll as much as a star of campaign 3, whole campaigns with a standard deviation of 0.052 px per
-    degree from the boresight, six real stars 0.054 to 0.070. ``solar_rate=4.5`` gives 0.063.
+    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Momentum dumps and
+    the doubling of real rates at the second reversal are not modeled: whole campaigns have a
+    standard deviation along the roll of 0.052 px per degree from the boresight, six real stars
+    0.054 to 0.070; ``solar_rate=4.5`` gives 0.063.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class Detector(Value):
     fixed_offset : int, optional
         Number added to each pixel of the raw counts, DN.
     mean_black : int, optional
-        Black level of one read, DN; it is taken off before the counts are stored.
+        Black level of one read, DN, taken off before the counts are stored.
     sensitivity : astropy.modeling.Model or None, optional
         Response within a pixel: a `SensitivityPolynomial` or a product of several; None is 1.
     interpixel : array_like of shape (ny, nx) or None, optional
@@ -297,24 +297,13 @@ class Detector(Value):
         Notes
         -----
         Every value is that of `k2` but these, of ``python studies/paper/calibrate_k2_motion.py``
-        (see the page on calibration). Of the values that fit alike, these also give EPIC 205998445
-        its noise within a quarter.
-
-        ======================= ==================== ==========================================
-        field                   value                source
-        ======================= ==================== ==========================================
-        sensitivity             :math:`a_2 = -0.75`  fit; along both axes
-                                (-0.85 to -0.45)     :math:`(1 + a_2 u^2) / (1 + a_2 / 12)`, so
-                                                     that the mean over a pixel is 1
-        interpixel_scatter      0.011, normal        fit
-                                (0.0045 to 0.0135)
-        psf                     Gaussians: 80 % with wings of 20 %: chosen; the widths follow
-                                sigma 0.450 px, 20 % from Kepler's PRF, 45 % of the light in the
-                                with 1.261 px        brightest pixel and 95 % within a diameter
-                                                     of 4.2 px (Kepler telescope page, medians)
-        ======================= ==================== ==========================================
-
-        The ranges hold for these wings: with 10 % in the wings :math:`a_2` is -1.35 to -1.1.
+        (see the page on calibration). The sensitivity along both axes, :math:`(1 + a_2 u^2) / (1 +
+        a_2 / 12)`, has the mean 1 over a pixel; :math:`a_2 = -0.75` (-0.85 to -0.45) is fitted, as
+        is the normal interpixel scatter of 0.011 (0.0045 to 0.0135). The PSF's wings of 20 % are
+        chosen, with widths from Kepler's PRF: 45 % of the light in the brightest pixel and 95 %
+        within a diameter of 4.2 px (Kepler telescope page, medians). The ranges hold for these
+        wings: with 10 % in the wings :math:`a_2` is -1.35 to -1.1. Of the values that fit alike,
+        these also give EPIC 205998445 its noise within a quarter.
 
         Examples
         --------
@@ -342,15 +331,14 @@ class Detector(Value):
         =================================== ========================================================
         pixel_scale, read_noise, well_depth TESS Instrument Handbook
         zero_point                          TESS Instrument Handbook (+- 0.05 mag)
+        live_fraction                       TESS Instrument Handbook: the cosmic-ray mitigation
+                                            drops two of ten reads, but at 20 s
         int_time, read_time, n_frames       TPFs
-        live_fraction                       TESS Instrument Handbook: the cosmic-ray mitigation drops
-                                            the highest and lowest of ten reads, but at 20 s
         gain                                GAINA to GAIND of TIC 273589987
         background                          FLUX_BKG of TIC 273589987, sector 15
         fixed_offset, mean_black            FXDOFF and MEANBLCA of TIC 273589987
         sensitivity, interpixel_scatter     assumed: the paper's, for Kepler
-        psf                                 assumed: 83 % of its light is in the optimal aperture of
-                                            TIC 273589987, where the header has 84 %
+        psf                                 assumed
         =================================== ========================================================
 
         Examples
