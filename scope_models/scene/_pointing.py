@@ -145,8 +145,8 @@ class TESSPointing(Pointing):
 
     Velocity aberration stretches the field by :math:`s(t) = (v / c) \sin(2 \pi (t - t_m) /
     \mathrm{yr})` about the middle :math:`t_m` of the sector. The jitter is :math:`\epsilon_i - b
-    \epsilon_{i-1}`, as the control loop makes it, measured on POS_CORR of TIC 273589987 (sector
-    15, 120 s); it falls with the square root of the cadence.
+    \epsilon_{i-1}`, measured on POS_CORR of TIC 273589987 (sector 15, 120 s); it falls with the
+    square root of the cadence.
 
     Parameters
     ----------
@@ -426,11 +426,6 @@ class K2Roll(Pointing):
         Length :math:`T` of a campaign, days.
     pixel_scale : float or Quantity
         Size of a pixel, arcsec.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     References
     ----------

@@ -6,9 +6,15 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from scope_models import _checks
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
-from scope_models._checks import integer, number
+from scope_models._checks import (
+    check_fields,
+    checked_choice,
+    checked_model,
+    checked_shape,
+    integer,
+    number,
+)
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
 from scope_models.effects._noise import stream
@@ -31,7 +37,7 @@ _RATE = u.electron / u.s
 
 # Parts of the docstrings of the presets.
 _CHANGES = """**changes
-    Any field of `Detector`, to replace the preset's value.
+    Any field of `Detector`, to replace these values.
 
 Returns
 -------
@@ -54,8 +60,8 @@ class Detector(Value):
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
     `kepler`, `k2`, `k2_calibrated`, `tess` and `ground` have the numbers of instruments with their
-    sources; `preset` finds these, and your own, by name; `from_tpf` takes those of a file.
-    `replace` and `without_sensitivity` give new detectors. Numbers with a unit may be quantities.
+    sources; `preset` finds these, and your own, by name; `from_tpf` takes those of a file. Numbers
+    with a unit may be quantities.
 
     Parameters
     ----------
@@ -146,7 +152,7 @@ class Detector(Value):
 
     def __post_init__(self):
         put = object.__setattr__
-        put(self, "shape", _checks.checked_shape(self.shape))
+        put(self, "shape", checked_shape(self.shape))
         if not isinstance(self.mission, str):
             raise TypeError(f"`mission` must be a string, got {self.mission!r}")
         if isinstance(self.zero_point, str):
@@ -155,10 +161,10 @@ class Detector(Value):
                 wanted = f"a number or one of {list(known)} for {self.mission}"
                 raise ValueError(f"`zero_point` must be {wanted}, got {self.zero_point!r}")
             put(self, "zero_point", known[self.zero_point])
-        _checks.check_fields(self)
-        _checks.checked_choice("interpixel_distribution", self.interpixel_distribution, _DRAWN)
+        check_fields(self)
+        checked_choice("interpixel_distribution", self.interpixel_distribution, _DRAWN)
         for name in ("sensitivity", "psf"):
-            model = _checks.checked_model(name, getattr(self, name))
+            model = checked_model(name, getattr(self, name))
             put(self, name, model_in_pixels(model, self.pixel_scale))
         # Whatever cannot be integrated over pixels fails here rather than in a simulation.
         if self.psf is not None:
@@ -216,9 +222,8 @@ class Detector(Value):
 
         Examples
         --------
-        >>> import astropy.units as u
         >>> from scope_models import Detector
-        >>> Detector.preset("tess", 20 * u.s, shape=(13, 13)).n_frames
+        >>> Detector.preset("tess", "20 s").n_frames
         10
         """
         found = presets.PRESETS.get(name.lower()) if isinstance(name, str) else None
@@ -378,7 +383,7 @@ class Detector(Value):
         Returns
         -------
         Detector
-            The detector. Its files have the layout of TESS, which lightkurve opens.
+            The detector.
 
         Raises
         ------
@@ -387,7 +392,7 @@ class Detector(Value):
 
         Notes
         -----
-        The values are on the page on noise; their sources:
+        The page on noise has the values:
 
         =================================== ========================================================
         zero_point                          `~scope_models.scene.presets.BANDS` above the atmosphere

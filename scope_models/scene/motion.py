@@ -535,8 +535,8 @@ class Motion(Value):
     def k2_final_campaign(cls, n_cadences=None, *, campaign=19, seed=1, start=None, **parameters):
         """Generate the motion of a star in one of K2's last campaigns.
 
-        Cadences have the mission's numbers. In campaign 18, EPIC 211983544 has the standard
-        deviation 0.171 px along the roll, here it is 0.135 to 0.156 px.
+        Cadences have the mission's numbers. Along the roll, stars of campaign 18 move by 9 to 21 %
+        less than EPIC 211983544.
 
         {given}
 
@@ -712,7 +712,7 @@ class Motion(Value):
 
     read, write = classmethod(_files.read), _files.write
 
-    def statistics(self, pixel_scale=MISSIONS["K2"].pixel_scale, *, exclude=0):
+    def statistics(self, pixel_scale=_K2.pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
 
         Mean, standard deviation and maximum are those of :math:`r = \sqrt{x^2 + y^2}`, as in

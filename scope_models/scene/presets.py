@@ -46,8 +46,8 @@ PRESETS = MappingProxyType(_REGISTERED)
 def register_preset(name, *, cadences=(), **fields):
     """Add a preset, or replace one that was added.
 
-    `Detector.preset <scope_models.Detector.preset>`, `~scope_models.read_detector` and
-    ``scope-models simulate --detector`` find it by its name.
+    `Detector.preset <scope_models.Detector.preset>`, TOML files and the command line find it by
+    its name.
 
     Parameters
     ----------

@@ -371,7 +371,7 @@ class Scene(Value):
             place, scale, fields["matrix"] = _star_frame(coord, detector.shape, wcs)
             detector = detector.replace(pixel_scale=scale)
             target = target.replace(x_0=place[0], y_0=place[1])
-        if psf is not None and hasattr(psf, "param_names"):
+        if hasattr(psf, "param_names"):
             detector, psf = detector.replace(psf=psf), None
         ra, dec = coord.icrs.ra.deg, coord.icrs.dec.deg
         base = cls(target, detector, motion, ra=ra, dec=dec, orientation=orientation, **fields)
@@ -482,10 +482,7 @@ def _find_target(coord, target, places, mags, pixel_scale):
 
 
 def _place_stars(base, places, mags, magnitude_limit, background_stars, psf):
-    """Return the target and the stars whose light falls into the stamp of a scene of the target.
-
-    ``psf`` varies with the place; the other arguments are those of `Scene.from_catalog`.
-    """
+    """Return the target and the stars whose light falls into the stamp of a scene of the target."""
     xy = np.column_stack([places.ra.deg, places.dec.deg])
     xy = base.wcs.wcs_world2pix(xy, 0) if len(xy) else xy
     used = np.isfinite(xy).all(axis=1)
