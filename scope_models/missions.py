@@ -66,7 +66,7 @@ class QualityBits(Value):
     rolling_band, detector_anomaly, impulsive_outlier : int
         Artifacts of the electronics, and outliers.
     manual_exclude : int
-        Left out by hand, or here without a measured position or time.
+        Left out by hand, or here without a position or time.
     no_data : int
         No data, and no time.
     rejected : int

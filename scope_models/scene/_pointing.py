@@ -96,8 +96,7 @@ class KeplerPointing(Pointing):
     drift, drift_time : float or Quantity
         Standard deviation of the red noise per axis, px, and its correlation time, days.
     heater, heater_period : float or Quantity
-        Amplitude of the heaters' cycle along columns, px (measured: below 3e-5), and its period,
-        hours.
+        Amplitude of the heaters' cycle along columns, px, and its period, hours.
     jitter : float or Quantity
         Standard deviation of the white noise of a long cadence per axis, px.
     dump_interval : float or Quantity

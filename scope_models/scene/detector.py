@@ -536,7 +536,7 @@ class Detector(Value):
         Parameters
         ----------
         seed : int
-            The seed of the observation, from which the map is drawn where the detector has none.
+            The seed of the observation, which draws the map where the detector has none.
 
         Returns
         -------

@@ -59,7 +59,7 @@ _INTERVAL = """cadence : float or Quantity, optional
 
 
 def _given(kind, number, further=""):
-    """Return the arguments of a generator, of which some have a further one, for its docstring."""
+    """Return the arguments of a generator for its docstring."""
     return f"""Parameters
 ----------
 n_cadences : int, optional
@@ -131,7 +131,7 @@ class MotionStatistics(Value):
         return self.replace(**{name: getattr(self, name).to(u.arcsec, scale) for name in names})
 
     def to_table(self):
-        """Return the statistics as a table of one row, to be stacked with others.
+        """Return the statistics as a table of one row.
 
         Returns
         -------
@@ -312,7 +312,7 @@ class Motion(Value):
     def from_file(cls, path, *, bad="interpolate", time_format=None):
         """Read the motion of a Kepler, K2 or TESS target pixel or light-curve file.
 
-        The file's first table must have the columns TIME, POS_CORR1 and POS_CORR2; QUALITY (or
+        The first table must have the columns TIME, POS_CORR1 and POS_CORR2; QUALITY (or
         SAP_QUALITY) and CADENCENO are read if they are there. Flagged cadences stay.
 
         Parameters
@@ -469,9 +469,9 @@ class Motion(Value):
     def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
-        By default it is that of EPIC 205998445 in campaign 3, with the first seed for which 1000
-        cadences have the row of the paper [1]_, 0.17 +- 0.12 px and at most 0.59 px, within 5 %.
-        Cadences in which thrusters fire are flagged.
+        By default it is that of EPIC 205998445 in campaign 3, with the first seed for which the
+        statistics of 1000 cadences are those of the paper [1]_ within 5 %. Cadences in which
+        thrusters fire are flagged.
 
         {given}
 
@@ -615,8 +615,8 @@ class Motion(Value):
         motions : iterable of Motion
             The motions, in order.
         shift : bool, optional
-            Whether times and cadence numbers are shifted so that each motion begins one cadence
-            (the median of the one before, or its own) after the one before.
+            Whether times and cadence numbers are shifted so that each motion begins one (median)
+            cadence after the one before.
 
         Returns
         -------
