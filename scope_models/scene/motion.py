@@ -386,7 +386,7 @@ class Motion(Value):
 
     @classmethod
     def from_tpfs(cls, tpfs):
-        r"""Find the motion that the stars of a CCD share.
+        """Find the motion that the stars of a CCD share.
 
         The positions of each star are those in its pixels, from a fit of one Gaussian and of the
         neighbors that are found, and POS_CORR where the file has it. They are an offset and a
@@ -397,8 +397,7 @@ class Motion(Value):
         Parameters
         ----------
         tpfs : lightkurve.TargetPixelFile, str or path-like, or a sequence of them
-            Files of one campaign, quarter or sector with the same cadences. Those of the CCD with
-            the most files are used.
+            Files with the same cadences. Those of the CCD with the most files are used.
 
         Returns
         -------

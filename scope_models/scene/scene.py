@@ -305,8 +305,8 @@ class Scene(Value):
         table : astropy.table.Table, mapping or None
             The catalog, or None: columns ``ra`` and ``dec`` (deg, ICRS), a magnitude, and if wanted
             proper motions ``pmra`` (times the cosine of the declination) and ``pmdec``, mas/yr,
-            and their ``ref_epoch`` (Julian year). Names of Gaia, of VizieR and of the missions'
-            catalogs are found. Missing proper motions are 0.
+            and their ``ref_epoch`` (Julian year). Names of Gaia, VizieR and the missions' catalogs
+            are found. Missing proper motions are 0.
         coord : SkyCoord
             Place of the target at the time of the motion.
         detector : Detector
