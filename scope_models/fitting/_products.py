@@ -21,10 +21,8 @@ from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models.integration import numbers_of
 from scope_models.scene._files import describe_detector, make_detector
-from scope_models.scene._motion_arrays import offsets_at
-from scope_models.scene.motion import Motion
-from scope_models.scene.scene import Scene
-from scope_models.scene.star import Star
+from scope_models.scene.motion import Motion, offsets_at
+from scope_models.scene.scene import Scene, Star
 
 __all__ = [
     "CADENCE_UNITS", "STATISTICS", "FittedStar", "cadence_table", "degrees_of_freedom",

@@ -5,8 +5,7 @@ from scope_models.scene.common import CommonMotion
 from scope_models.scene.detector import ZERO_POINTS, Detector
 from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
 from scope_models.scene.presets import PRESETS, register_preset
-from scope_models.scene.scene import Scene
-from scope_models.scene.star import Star
+from scope_models.scene.scene import Scene, Star
 
 __all__ = [
     "PRESETS", "ZERO_POINTS", "CommonMotion", "Detector", "K2Roll", "Motion", "MotionStatistics",

@@ -11,8 +11,11 @@ import numpy as np
 from astropy.modeling import Model
 from astropy.table import QTable
 
+# The classes are attributes of the package when they are needed: their modules import this one.
+from scope_models import scene as kinds
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_choice
+from scope_models._docstrings import documented
 from scope_models._values import value_key
 from scope_models.effects import Effect
 from scope_models.io import read_truth
@@ -28,16 +31,10 @@ from scope_models.models._description import (
     packed,
     unpacked,
 )
-from scope_models.scene.common import CommonMotion
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.presets import PRESETS
-from scope_models.scene.scene import Scene
-from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_detector", "describe_scene", "make_detector", "read_detector", "read_object",
-    "read_scene", "scene_columns", "write_object",
+    "describe_detector", "describe_scene", "make_detector", "read", "read_detector", "read_scene",
+    "scene_columns", "write",
 ]  # fmt: skip
 
 _VERSION = 3
@@ -56,8 +53,7 @@ def read_scene(path):
     Returns
     -------
     Scene
-        The scene, equal to the written one. Signals that were functions are arrays, cadence by
-        cadence.
+        The scene, equal to the written one. Signals that were functions are arrays.
 
     Raises
     ------
@@ -66,12 +62,9 @@ def read_scene(path):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scope_models import Detector, Motion, Star, read_scene, simulate
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
-    >>> path = observation.write("star.fits")
-    >>> again = simulate(read_scene(path))
-    >>> np.array_equal(again.flux, observation.flux)
+    >>> read_scene(observation.write("star.fits")) == observation.scene
     True
     """
     truth = read_truth(path)
@@ -80,21 +73,20 @@ def read_scene(path):
         detector = make_detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
         effects = [_make_effect(effect) for effect in described["effects"]]
-        return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
+        return kinds.Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
 
 
 def read_detector(path):
     r"""Read a detector from a FITS file of `Detector.write <scope_models.Detector.write>` or TOML.
 
-    In TOML, each key is a field of `~scope_models.Detector`. Four are written in their own way:
+    In TOML, each key is a field of `~scope_models.Detector`, but:
 
-    - ``preset``, a name for `Detector.preset <scope_models.Detector.preset>` as "k2", takes all
-      fields that are not given from that preset, with the preset's ``cadence``;
-    - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
-      of a PSF of `scope_models.models`, of photutils (as "MoffatPSF") or of
-      `astropy.modeling.models`; the other keys are its parameters;
-    - ``sensitivity`` is a table, or several that are multiplied, with the arguments of
-      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none;
+    - ``preset`` and ``cadence`` are arguments of `Detector.preset <scope_models.Detector.preset>`,
+      which gives all other fields;
+    - ``psf`` is a table, or several (``[[psf]]``) that are added: ``model`` is the name of a PSF of
+      `scope_models.models`, photutils or `astropy.modeling.models`; other keys are its parameters;
+    - ``sensitivity`` is alike, but multiplied; without ``model`` it is a
+      `~scope_models.SensitivityPolynomial`, and ``false`` is none;
     - ``effects`` are tables (``[[effects]]``) with the name of an ``effect`` of
       `scope_models.effects` and its fields.
 
@@ -113,19 +105,16 @@ def read_detector(path):
     OSError
         If the file cannot be read.
     ValueError
-        If it is neither, or a field is unknown, is missing or outside its domain. The message
-        begins with the name of the file.
+        If it is neither, or a field is unknown, is missing or outside its domain.
 
     Examples
     --------
     >>> from pathlib import Path
     >>> from scope_models import read_detector
-    >>> text = 'preset = "k2"\nshape = [9, 9]\n'
-    >>> psf = '[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = 0.6\n'
-    >>> _ = Path("detector.toml").write_text(text + psf, encoding="utf-8")
-    >>> detector = read_detector("detector.toml")
-    >>> detector.shape, float(detector.psf.sigma_x.value)
-    ((9, 9), 0.6)
+    >>> text = 'preset = "k2"\n[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = 0.6\n'
+    >>> _ = Path("detector.toml").write_text(text, encoding="utf-8")
+    >>> float(read_detector("detector.toml").psf.sigma_x.value)
+    0.6
     """
     if _is_fits(path):
         with open_fits(path) as hdus:
@@ -148,7 +137,9 @@ def _read_motion(path):
         table = QTable.read(text.splitlines(), format="ascii.ecsv")
         columns = [table[name] for name in ("time", "x", "y")]
         flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
-        return Motion(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
+        return kinds.Motion(
+            *columns, *flags, table.meta["time_format"], table.meta.get("motion") or {}
+        )
     except (LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a table of a motion: {error}") from error
 
@@ -158,27 +149,66 @@ def _is_fits(path):
         return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
 
 
-def read_object(kind, path):
-    """Return the scene, the detector or the motion, a class, of a file."""
-    if issubclass(kind, Scene):
+def read(cls, path):
+    """Read a scene, a detector or a motion, as the class says.
+
+    Parameters
+    ----------
+    path : str or path-like
+        A file of `write`, or a target pixel file of this package. A detector may also be in TOML:
+        see `~scope_models.read_detector`. A motion may also be in ECSV with the columns time, x, y,
+        quality and cadenceno, and with time_format in its header.
+
+    Returns
+    -------
+    Scene, Detector or Motion
+        The object, equal to the written one.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    ValueError
+        If it holds no such object.
+
+    Examples
+    --------
+    >>> from scope_models import Motion
+    >>> Motion.read(Motion.still(3).write("still.fits")).x
+    array([0., 0., 0.])
+    """
+    if issubclass(cls, kinds.Scene):
         return read_scene(path)
-    return read_detector(path) if issubclass(kind, Detector) else _read_motion(path)
+    return read_detector(path) if issubclass(cls, kinds.Detector) else _read_motion(path)
 
 
-def write_object(value, path, *, overwrite):
-    """Write a scene, a detector or a motion; return the path."""
+@documented()
+def write(self, path, overwrite=False):
+    """Write the object, as it is, as .fits or .fits.gz; ``read`` of its class reads it.
+
+    Parameters
+    ----------
+    {write}
+
+    Examples
+    --------
+    >>> from scope_models import Detector
+    >>> detector = Detector.k2()
+    >>> Detector.read(detector.write("detector.fits")) == detector
+    True
+    """
     from astropy.io import fits
 
-    if isinstance(value, Detector):
-        described = {"version": _VERSION, "detector": describe_detector(value)}
-        blocks = scene_blocks(_maps(value), described)
-    elif isinstance(value, Motion):
-        described = {"version": _VERSION, "motion": _describe_motion(value)}
-        blocks = truth_blocks(value.cadenceno, _motion_columns(value), {}, described, None)
+    if isinstance(self, kinds.Detector):
+        described = {"version": _VERSION, "detector": describe_detector(self)}
+        blocks = scene_blocks(_maps(self), described)
+    elif isinstance(self, kinds.Motion):
+        described = {"version": _VERSION, "motion": _describe_motion(self)}
+        blocks = truth_blocks(self.cadenceno, _motion_columns(self), {}, described, None)
     else:
-        motion, maps = value.motion, _maps(value.detector)
-        columns = scene_columns(value, [star.relative_flux(motion.time) for star in value.stars])
-        blocks = truth_blocks(motion.cadenceno, columns, maps, describe_scene(value), None)
+        motion, maps = self.motion, _maps(self.detector)
+        columns = scene_columns(self, [star.relative_flux(motion.time) for star in self.stars])
+        blocks = truth_blocks(motion.cadenceno, columns, maps, describe_scene(self), None)
     hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
@@ -203,7 +233,7 @@ def _making(path, described, what):
 
 def _motion(truth):
     table, described = truth.columns, truth.scene["motion"]
-    kind = CommonMotion if "place" in described else Motion
+    kind = kinds.CommonMotion if "place" in described else kinds.Motion
     further = {n: table[n.upper()] for n in (*kind.offsets_of[2:], *kind.errors_of)}
     return kind(
         table["TIME"], table["MOTION_X"], table["MOTION_Y"], table["QUALITY"].astype(np.int32),
@@ -251,7 +281,7 @@ def _motion_columns(motion):
 
 
 def _describe_motion(motion):
-    place = {"place": motion.place} if isinstance(motion, CommonMotion) else {}
+    place = {"place": motion.place} if isinstance(motion, kinds.CommonMotion) else {}
     return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)} | place
 
 
@@ -282,21 +312,21 @@ def make_detector(described, maps):
     models = {name: make_model(described[name]) for name in ("sensitivity", "psf")}
     effects = [_make_effect(effect) for effect in described["effects"]]
     interpixel = maps["INTERPIXEL"] if described["interpixel"] else None
-    return Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
+    return kinds.Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
 
 
 def _star(described, number, table):
     is_array = described["signal"] is True
     signal = table[f"SIGNAL{number}"] if is_array else make_model(described["signal"] or None)
     psf, coord = make_model(described["psf"]), make_coord(described.get("coord"))
-    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
+    return kinds.Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
 
 
 def _detector_of_toml(values):
     preset = values.pop("preset", None)
     if preset is not None:
-        checked_choice("preset", preset, PRESETS)
-    known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
+        checked_choice("preset", preset, kinds.PRESETS)
+    known = {item.name for item in fields(kinds.Detector)} | ({"cadence"} if preset else set())
     for name in values:
         if name not in known:
             raise ValueError(f"`{name}` is not a field of a detector")
@@ -309,7 +339,7 @@ def _detector_of_toml(values):
         values["sensitivity"] = None
     elif "sensitivity" in values:
         values["sensitivity"] = _combined(values, "sensitivity", mul, "SensitivityPolynomial")
-    return Detector.preset(preset, **values) if preset else Detector(**values)
+    return kinds.Detector.preset(preset, **values) if preset else kinds.Detector(**values)
 
 
 def _combined(values, name, combine, default=None):
@@ -319,12 +349,9 @@ def _combined(values, name, combine, default=None):
 
 
 def _named(tables, name, key, default=None):
-    """Return the name under a key, and the other values, of one table or several."""
-    found = []
+    """Yield the name under a key, and the other values, of one table or several."""
     for table in tables if isinstance(tables, list) else [tables]:
         if not isinstance(table, dict) or not isinstance(table.get(key, default), str):
             wanted = f"a table with the name of its `{key}`"
             raise ValueError(f"`{name}` must be {wanted}, got {table!r}")  # noqa: TRY004
-        parameters = dict(table)
-        found.append((parameters.pop(key, default), parameters))
-    return found
+        yield table.get(key, default), {k: v for k, v in table.items() if k != key}

@@ -1,7 +1,4 @@
-"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors.
-
-Each class gives times, offsets and flagged cadences; `generate` makes series of them.
-"""
+"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors."""
 
 from dataclasses import asdict, dataclass
 from typing import ClassVar
@@ -41,10 +38,9 @@ class Pointing(Value):
         return cadence * np.arange(n_cadences)
 
     def track(self, time, streams):
-        """Return offsets x and y, px, at times in days, and masks of cadences to flag, a dict.
+        """Return offsets x and y, px, at times in days, and cadences to flag by names of bits.
 
-        The masks have the meanings of quality bits as names; ``streams`` is a function of a name
-        that returns a random generator at its beginning.
+        ``streams`` is a function of a name that returns a random generator at its beginning.
         """
         raise NotImplementedError
 
@@ -68,8 +64,8 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
     for meaning, cadences in flags.items():
         quality[cadences] |= getattr(mission.quality, meaning)
     meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}, "seed": seed}
-    fields = {"x": x, "y": y, "quality": quality, "time_format": zero, "meta": meta}
-    return fields | {"time": first_time(start, zero) + time}
+    time = first_time(start, zero) + time
+    return {"time": time, "x": x, "y": y, "quality": quality, "time_format": zero, "meta": meta}
 
 
 def _due(time, interval, generator):
@@ -82,13 +78,10 @@ def _due(time, interval, generator):
 class KeplerPointing(Pointing):
     r"""The pointing of Kepler, and a star at some distance from the boresight.
 
-    The field is stretched by velocity aberration, :math:`s(t) = (v / c) \cos\beta \cos(2 \pi t /
-    \mathrm{yr} + \phi)` at the ecliptic latitude :math:`\beta`, so that a star at :math:`(X, Y)`
-    drifts by :math:`s (X, Y)` less the mean. To this come slow red noise, the heaters' cycle and
-    white jitter. Numbers without another source are measured on POS_CORR of Kepler-62 in quarter
-    5, with a range along columns and rows of 0.123 and 0.092 px, here 0.122 and 0.090 px, and a
-    robust scatter about a running median of 49 cadences of 0.00022 and 0.00020 px, here 0.00024
-    and 0.00027 px.
+    Velocity aberration stretches the field by :math:`s(t) = (v / c) \cos\beta \cos(2 \pi t /
+    \mathrm{yr} + \phi)` at the ecliptic latitude :math:`\beta`: a star at :math:`(X, Y)` drifts by
+    :math:`s (X, Y)` less the mean. To this come red noise, the heaters' cycle and white jitter.
+    Numbers without another source are measured on POS_CORR of Kepler-62 in quarter 5.
 
     Parameters
     ----------
@@ -103,8 +96,7 @@ class KeplerPointing(Pointing):
     drift, drift_time : float or Quantity
         Standard deviation of the red noise per axis, px, and its correlation time, days.
     heater, heater_period : float or Quantity
-        Amplitude of the heaters' cycle along columns, px, and its period, hours. No line between
-        2 and 9 h is stronger than 3e-5 px.
+        Amplitude of the heaters' cycle along columns, px, and its period, hours.
     jitter : float or Quantity
         Standard deviation of the white noise of a long cadence per axis, px.
     dump_interval : float or Quantity
@@ -150,33 +142,30 @@ _REFERENCE = 120 / 86400  # cadence at which the jitter is measured, days
 class TESSPointing(Pointing):
     r"""The pointing of TESS over a sector, and a star at some distance from the boresight.
 
-    The field is stretched by velocity aberration, :math:`s(t) = (v / c) \sin(2 \pi (t - t_m) /
-    \mathrm{yr})` about the middle :math:`t_m` of the sector, when the spacecraft looks across its
-    orbit. Successive cadences are anticorrelated, as the control loop makes them: the jitter is
-    :math:`\epsilon_i - b \epsilon_{i-1}`. It is measured on POS_CORR of TIC 273589987 (sector 15,
-    120 s): 0.0027 and 0.0051 px with a correlation of -0.31 from one cadence to the next; for
-    other cadences it falls with the square root of the length.
+    Velocity aberration stretches the field by :math:`s(t) = (v / c) \sin(2 \pi (t - t_m) /
+    \mathrm{yr})` about the middle :math:`t_m` of the sector. The jitter is :math:`\epsilon_i - b
+    \epsilon_{i-1}`, measured on POS_CORR of TIC 273589987 (sector 15, 120 s); it falls with the
+    square root of the cadence.
 
     Parameters
     ----------
     field : tuple of float or Quantity
         Distance from the boresight along columns and rows, deg.
     orbital_speed : float or Quantity
-        Speed of the Earth, km/s.
+        Speed of the spacecraft, km/s.
     jitter : tuple of float or Quantity
         Standard deviation of the jitter along columns and rows, px, in 120 s.
     blue : float
-        The factor b; 0.35 gives the correlation of -0.31, 0 white noise.
+        The factor b; 0 is white noise.
     drift, drift_time : float or Quantity
-        Standard deviation of red noise per axis, px, and its correlation time, days; assumed.
+        Standard deviation of the red noise per axis, px, and its correlation time, days; assumed.
     dump_interval : float or Quantity
-        Time between momentum dumps, days: 2.5 in sector 1, 3.125 in sector 8, 3.375 in sector 13
-        (TESS data release notes).
+        Time between momentum dumps, days (sector 8, TESS data release notes).
     dump_offset : float or Quantity
         Standard deviation of the offset in the flagged cadence of a dump, px; assumed.
     orbit_time, gap_time : float or Quantity
-        Length of the observations of an orbit, and of the gap between the orbits, days: 13.2 and
-        1.13 in sector 1 (TESS data release notes).
+        Length of the observations of an orbit, and of the gap between orbits, days (sector 1, TESS
+        data release notes).
 
     Examples
     --------
@@ -222,11 +211,10 @@ class TESSPointing(Pointing):
 class GroundTracking(Pointing):
     r"""The tracking of a ground-based telescope in nights.
 
-    In each night the star is put on its place again to within ``pointing``, and then drifts. Wind
-    and image motion have the power spectrum :math:`f^{-5/3}` between the length of the night and
-    two cadences. The image motion has the variance :math:`0.18 (\lambda / D)^{1/3} (\lambda /
-    r_0)^{5/3}` per axis [1]_ with :math:`r_0 = 0.98 \lambda / \mathrm{seeing}`, as in
-    instantaneous exposures: longer ones average some of it. Other numbers are assumed.
+    Each night the star is put on its place again, and then drifts. Wind and image motion have the
+    power spectrum :math:`f^{-5/3}` between the night and two cadences. The image motion has the
+    variance :math:`0.18 (\lambda / D)^{1/3} (\lambda / r_0)^{5/3}` per axis [1]_ with :math:`r_0 =
+    0.98 \lambda / \mathrm{seeing}`, that of short exposures. Other numbers are assumed.
 
     Parameters
     ----------
@@ -254,7 +242,7 @@ class GroundTracking(Pointing):
     Examples
     --------
     >>> from scope_models.scene.motion import GroundTracking
-    >>> print(f"{GroundTracking(aperture=1.0, seeing=1.0).image_motion:.3f}")
+    >>> round(GroundTracking().image_motion, 3)
     0.305
     """
 
@@ -343,10 +331,10 @@ class FailingWheels(Pointing):
     spread : float or Quantity
         Standard deviation of the walk per axis after one day, px.
     jump : float or Quantity
-        Standard deviation of a jump per axis at the end of the first day, px; it grows with the
-        square root of time.
+        Standard deviation of a jump per axis after one day, px; it grows with the square root of
+        time.
     jump_interval : float or Quantity
-        Mean time between jumps, days. Their cadences are flagged as of coarse pointing.
+        Mean time between jumps, days, which are flagged as of coarse pointing.
 
     Examples
     --------
@@ -362,15 +350,19 @@ class FailingWheels(Pointing):
 
     def track(self, time, streams):
         x, y, _ = RandomWalk(spread=self.spread).track(time, streams)
-        direction = 2 * np.pi * streams("direction").random()
+        drift_x, drift_y = _in_random_direction(self.drift, streams)
         steps = np.diff(time, prepend=time[0])
         jumps = streams("jumps").random(len(time)) < -np.expm1(-steps / self.jump_interval)
         sizes = streams("sizes").standard_normal((len(time), 2))
         sizes *= self.jump * np.sqrt(time)[:, np.newaxis]
-        jumped = np.cumsum(np.where(jumps[:, np.newaxis], sizes, 0.0), axis=0)
-        x = x + self.drift * np.cos(direction) * time + jumped[:, 0]
-        y = y + self.drift * np.sin(direction) * time + jumped[:, 1]
+        jump_x, jump_y = np.cumsum(np.where(jumps[:, np.newaxis], sizes, 0.0), axis=0).T
+        x, y = x + drift_x * time + jump_x, y + drift_y * time + jump_y
         return x, y, {"coarse_point": jumps}
+
+
+def _in_random_direction(size, streams):
+    direction = 2 * np.pi * streams("direction").random()
+    return size * np.cos(direction), size * np.sin(direction)
 
 
 # Length of a firing in hours: about 7 % of all extend over two long cadences.
@@ -392,64 +384,47 @@ class K2Roll(Pointing):
         (1 + g_k) \left(1 + \kappa (t - t_k)\right),
 
     and within each six hours the angle is the quadratic in time with this rate and its
-    derivative. The sense of roll reverses at :math:`t_r`, and every :math:`T_r` from then on,
-    when the Sun crosses the direction of balance. A star at :math:`(X, Y)` from the boresight is
-    displaced by :math:`(s X - \theta Y, s Y + \theta X)`, where the stretch by velocity
-    aberration, :math:`s = (v / c) \cos(2 \pi (t - T / 2) / \mathrm{yr})` less its mean over a
-    campaign of length :math:`T`, is a slow drift. Positions are means over each cadence, so
-    that a star is somewhere between the two sides while thrusters fire.
+    derivative. A star at :math:`(X, Y)` from the boresight is displaced by :math:`(s X - \theta Y,
+    s Y + \theta X)`, with the stretch by velocity aberration :math:`s = (v / c) \cos(2 \pi (t - T /
+    2) / \mathrm{yr})` less its mean over a campaign of length :math:`T`. Positions are means over
+    each cadence.
 
-    All parameters but ``rate_scatter`` may be quantities.
-    The defaults describe EPIC 205998445 (campaign 3). They are measured on the POS_CORR columns of
-    stars in campaigns 3, 4, 5 and 18, where the distance from the boresight times one roll angle
-    reproduces every star of a campaign. Momentum dumps every two days are not modeled. Over 1000
-    cadences they give a standard deviation along the roll of 0.044 px per degree from the
-    boresight, 0.030 px of it faster than a day, as a star of campaign 3 (0.045 and 0.030). Over
-    whole campaigns they give 0.052 and 0.033, where six stars have 0.054 to 0.070 and 0.033 to
-    0.041: real rates are twice as large from the second reversal on, 6.1 instead of 3.3 arcsec/h in
-    campaign 3, which is not modeled. For whole campaigns ``solar_rate=4.5`` is closer, 0.063 and
-    0.039.
+    The defaults describe EPIC 205998445 (campaign 3); the page on generated K2 motion has the
+    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Momentum dumps and
+    the doubling of real rates at the second reversal are not modeled: whole campaigns have a
+    standard deviation along the roll of 0.052 px per degree from the boresight, six real stars
+    0.054 to 0.070; ``solar_rate=4.5`` gives 0.063.
 
     Parameters
     ----------
-    field : tuple of float
-        Distance :math:`(X, Y)` of the star from the boresight along columns and rows in degrees.
-    solar_rate : float
-        Amplitude :math:`R` of the roll rate in arcsec/h, from columns to rows before the first
-        reversal (measured: 2.1 to 3.3 before the second reversal, 3.7 to 6.1 after it).
-    reversal, reversal_interval : float
-        Time :math:`t_r` of the first reversal from the beginning, and the time :math:`T_r` from one
-        reversal to the next, in days (measured in campaign 3: 9.3 and 36).
-    rate_growth : float
-        Relative growth :math:`\kappa` of the rate since the last reset per hour (measured:
-        0.027 to 0.046).
+    field : tuple of float or Quantity
+        Distance :math:`(X, Y)` from the boresight along columns and rows, deg.
+    solar_rate : float or Quantity
+        Amplitude :math:`R` of the roll rate, arcsec/h, from columns to rows before the first
+        reversal.
+    reversal, reversal_interval : float or Quantity
+        Time :math:`t_r` of the first reversal of the roll from the beginning, and :math:`T_r` from
+        one to the next, days.
+    rate_growth : float or Quantity
+        Relative growth :math:`\kappa` of the rate since the last reset per hour.
     rate_scatter : float
-        Standard deviation of :math:`g_k` (measured: 0.13 to 0.19).
-    reset_interval, reset_jitter : float
-        Time between occasions to fire, 12 long cadences, and its standard deviation in hours.
-    deadband : float
-        Largest roll angle without a firing in arcsec (measured: 3 to 14).
-    reset_scatter : float
-        Standard deviation of the roll angle after a firing in arcsec (measured: 7.9 to 8.4).
-    roll_jitter, roll_jitter_time : float
-        Standard deviation of the residual roll in arcsec, and its correlation time in hours
-        (measured: 0.25 to 0.31 arcsec about the quadratics).
-    pointing_jitter : float
-        Standard deviation of the residual pointing per axis in arcsec (measured: 0.0030 to 0.0044).
-    orbital_speed : float
-        Speed :math:`v` in km/s; negative where the field lies ahead, 0 for no aberration.
-    campaign : float
-        Length :math:`T` of a campaign in days.
-    pixel_scale : float
-        Size of a pixel in arcsec.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, or negative where that means nothing, or zero for the pixel
-        scale or a time other than the first reversal's and the jitters'.
-    TypeError
-        If ``field`` is not a pair of numbers, or another parameter is not a number.
+        Standard deviation of :math:`g_k`.
+    reset_interval, reset_jitter : float or Quantity
+        Time between occasions to fire, 12 long cadences, and its standard deviation, hours.
+    deadband : float or Quantity
+        Largest roll angle without a firing, arcsec.
+    reset_scatter : float or Quantity
+        Standard deviation of the roll angle after a firing, arcsec.
+    roll_jitter, roll_jitter_time : float or Quantity
+        Standard deviation of the residual roll, arcsec, and its correlation time, hours.
+    pointing_jitter : float or Quantity
+        Standard deviation of the residual pointing per axis, arcsec.
+    orbital_speed : float or Quantity
+        Speed :math:`v`, km/s; negative where the field lies ahead, 0 for no aberration.
+    campaign : float or Quantity
+        Length :math:`T` of a campaign, days.
+    pixel_scale : float or Quantity
+        Size of a pixel, arcsec.
 
     References
     ----------
@@ -461,9 +436,6 @@ class K2Roll(Pointing):
     >>> from scope_models.scene.motion import K2Roll
     >>> K2Roll(solar_rate=3.0).solar_rate
     3.0
-    >>> K2Roll(deadband=-1.0)
-    Traceback (most recent call last):
-    ValueError: `deadband` must not be negative, got -1.0
     """
 
     field: tuple = number((-4.59, 1.35), u.deg)
@@ -497,15 +469,13 @@ class K2Roll(Pointing):
         angle = (roll + self.roll_jitter * noise) / _ARCSEC_PER_RADIAN
         arm_x, arm_y = (3600 * degrees / self.pixel_scale for degrees in self.field)
         middle = (edges[:-1] + hours / 2) / 24
-        # The field is larger by (v/c) cos(angle from the direction opposite to the velocity), which
-        # goes through zero in the middle of a campaign; less its mean over the campaign.
         angle_to_motion = 2 * np.pi / _DAYS_PER_YEAR * (middle - self.campaign / 2)
         stretch = np.cos(angle_to_motion) - np.sinc(self.campaign / _DAYS_PER_YEAR)
         stretch *= self.orbital_speed / _SPEED_OF_LIGHT
-        residual = streams("pointing").standard_normal((n_cadences, 2))
-        residual *= self.pointing_jitter / self.pixel_scale
-        x = stretch * arm_x - angle * arm_y + residual[:, 0]
-        y = stretch * arm_y + angle * arm_x + residual[:, 1]
+        jitter = self.pointing_jitter / self.pixel_scale
+        jitter_x, jitter_y = jitter * streams("pointing").standard_normal((n_cadences, 2)).T
+        x = stretch * arm_x - angle * arm_y + jitter_x
+        y = stretch * arm_y + angle * arm_x + jitter_y
         n_fired, _ = np.histogram([fired, fired + _FIRING], edges)
         return x, y, {"thruster_firing": n_fired > 0}
 
@@ -520,28 +490,22 @@ class K2Roll(Pointing):
         times[0] = min(times[0], 0.0)
         frequency = np.pi / (24 * self.reversal_interval)
         phase = frequency * (24 * self.reversal - times)
-        state, fired = self._fire_thrusters(
-            times, self.solar_rate * np.sin(phase), -self.solar_rate * frequency * np.cos(phase),
-            self.reset_scatter * deviates[:, 1], 1 + self.rate_scatter * deviates[:, 2],
-        )  # fmt: skip
-        return cadence_means(times, state, edges), times[fired]
-
-    def _fire_thrusters(self, times, rate, acceleration, offsets, factors):
-        """Return angle, rate, acceleration from each occasion on, and where thrusters fired."""
-        state = np.empty((len(times), 3))
-        fired = np.zeros(len(times), dtype=bool)
+        rate = self.solar_rate * np.sin(phase)
+        acceleration = -self.solar_rate * frequency * np.cos(phase)
+        offsets = self.reset_scatter * deviates[:, 1]
+        factors = 1 + self.rate_scatter * deviates[:, 2]
+        state, fired = np.empty((len(times), 3)), []
         angle, last = offsets[0], 0
-        for i, time in enumerate(times):
+        for i, (time, step) in enumerate(zip(times, np.diff(times, append=times[-1]), strict=True)):
             if abs(angle) > self.deadband and i > 0:
-                fired[i], angle, last = True, offsets[i], i
+                angle, last = offsets[i], i
+                fired.append(i)
             grown = 1 + self.rate_growth * (time - times[last])
             omega = factors[last] * rate[i] * grown
             alpha = factors[last] * (acceleration[i] * grown + self.rate_growth * rate[i])
             state[i] = angle, omega, alpha
-            if i + 1 < len(times):
-                step = times[i + 1] - time
-                angle += omega * step + alpha * step**2 / 2
-        return state, fired
+            angle += omega * step + alpha * step**2 / 2
+        return cadence_means(times, state, edges), times[fired]
 
 
 def cadence_means(times, state, edges):
@@ -577,18 +541,16 @@ _DUMPS = 1.9616
 class K2Campaign18(Pointing):
     """The pointing of K2 campaign 18: nominal but for one excursion.
 
-    The K2 data release notes describe a pointing "well within the limits of that seen in other K2
-    campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to 162627
-    with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The roll is
-    that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC 211983544 has.
+    In the K2 data release notes 2490 long cadences have less than 1.9 px, but 162613 to 162627 more
+    than 4 px; these and the last one are flagged as of coarse pointing. The roll is that of
+    `~scope_models.scene.motion.K2Roll` with the reversals of EPIC 211983544.
 
     Parameters
     ----------
     excursion : float or Quantity
         Displacement of the boresight along a random direction in the flagged cadences, px.
     field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg; the default is that
-        of EPIC 211983544.
+        Distance from the boresight along columns and rows, deg; by default that of the star.
 
     Examples
     --------
@@ -610,41 +572,38 @@ class K2Campaign18(Pointing):
         x, y, flags = roll.track(time, streams)
         number = self.cadences[0] + np.arange(len(time))
         away = ((number >= 162613) & (number <= 162627)) | (number == 164458)
-        direction = 2 * np.pi * streams("direction").random()
-        x += self.excursion * np.cos(direction) * away
-        y += self.excursion * np.sin(direction) * away
-        dumps = _due(time, _DUMPS, streams("dumps"))
-        return x, y, flags | {"coarse_point": away, "desaturation": dumps}
+        dx, dy = _in_random_direction(self.excursion, streams)
+        flags |= {"coarse_point": away, "desaturation": _due(time, _DUMPS, streams("dumps"))}
+        return x + dx * away, y + dy * away, flags
 
 
 @dataclass(frozen=True)
 class K2FinalCampaign(Pointing):
     """The pointing of K2 campaign 19, in which the fuel ran out.
 
-    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days in
-    which the boresight was off target, so that nearly all stars were outside of their pixels; 7
-    days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll
-    fluctuated erratically", with usable parts up to cadence 168481. The roll of
-    `~scope_models.scene.motion.K2Roll` goes on in all of them.
+    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days off
+    target; 7 days of nominal pointing with less than 1.5 px; and 11 days of erratic boresight and
+    roll, with usable parts up to cadence 168481. The roll of `~scope_models.scene.motion.K2Roll`
+    goes on in all of them.
 
-    Cadences are flagged as without fine pointing in the first part and after the last usable one,
-    and as of coarse pointing in the first part and where boresight and erratic roll take a star
-    at the edge of the field farther than 3 px, for which the apertures of K2 allow.
+    The first part and cadences after the last usable one are flagged as without fine pointing; the
+    first part, and where a star at the edge of the field moves farther than 3 px, for which
+    apertures allow, as of coarse pointing.
 
     Parameters
     ----------
     off_target_time, nominal_time, erratic_length : float or Quantity
-        Length of the first and of the second part, and time from then on with fine pointing,
-        days; those of the notes' cadence numbers.
+        Length of the first and second part, and of that with fine pointing in the last, days, by
+        the notes' cadence numbers.
     off_target : float or Quantity
         Displacement of the boresight in the first part, px; assumed.
     erratic, erratic_time : float or Quantity
         Standard deviation of the boresight per axis in the last part, px, and its correlation
-        time, hours; assumed.
+        time, hours, both assumed.
     erratic_roll : float or Quantity
         Standard deviation of the additional roll in the last part, arcsec; assumed.
     field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg.
+        Distance from the boresight along columns and rows, deg.
 
     Examples
     --------
@@ -679,9 +638,8 @@ class K2FinalCampaign(Pointing):
             size * last * correlated(streams(f"erratic {name}"), len(time), correlation)
             for name, size in (("roll", roll_size), ("x", self.erratic), ("y", self.erratic))
         )
-        direction = 2 * np.pi * streams("direction").random()
-        dx += self.off_target * np.cos(direction) * first
-        dy += self.off_target * np.sin(direction) * first
+        off_x, off_y = _in_random_direction(self.off_target, streams)
+        dx, dy = dx + off_x * first, dy + off_y * first
         arm_x, arm_y = (3600 * degrees / roll.pixel_scale for degrees in self.field)
         flags |= {
             "coarse_point": first | (np.hypot(dx, dy) + _EDGE * np.abs(angle) > _HALO),

@@ -7,8 +7,7 @@ import numpy as np
 
 from scope_models._arrays import plain_number
 from scope_models._values import frozen
-from scope_models.scene._motion_arrays import as_pixels
-from scope_models.scene.motion import Motion
+from scope_models.scene.motion import Motion, as_pixels
 
 __all__ = ["CommonMotion"]
 
@@ -18,9 +17,9 @@ class CommonMotion(Motion):
     r"""The motion that all stars of a CCD share, with errors.
 
     A star at :math:`(X, Y)`, pixels from ``place``, is displaced by :math:`x + s X - \theta Y` and
-    :math:`y + s Y + \theta X`, with the scale s and the roll :math:`\theta` of the cadence.
-    `~scope_models.Motion.from_tpfs` makes it; `at` gives the motion at another place. Its errors
-    follow from the scatter of the stars about it, without errors of the PSF that all share.
+    :math:`y + s Y + \theta X`, with the scale s and the roll :math:`\theta` of the cadence: `at`.
+    `~scope_models.Motion.from_tpfs` makes it, with errors from the scatter of the stars about it,
+    without those of the PSF that all share.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ class CommonMotion(Motion):
     roll, scale : array_like of shape (n,)
         Roll, radians, and relative change of the scale.
     roll_err, scale_err : array_like of shape (n,)
-        Their standard deviations; their errors and those of x and y count as independent.
+        Their standard deviations; all errors count as independent.
     place : tuple of float
         Column and row on the CCD.
 
@@ -43,12 +42,10 @@ class CommonMotion(Motion):
     Examples
     --------
     >>> from scope_models.scene.common import CommonMotion
-    >>> zero, error = [0.0, 0.0], [0.001, 0.001]
-    >>> motion = CommonMotion(
-    ...     [0.0, 0.02], zero, zero, x_err=error, y_err=error, roll=[0.0, 1e-4], scale=zero,
-    ...     roll_err=zero, scale_err=zero, place=(500.0, 500.0))
-    >>> motion.at(700.0, 500.0).y
-    array([0.  , 0.02])
+    >>> names = ("x", "y", "x_err", "y_err", "scale", "roll_err", "scale_err")
+    >>> motion = CommonMotion(time=[0.0], roll=[1e-4], **dict.fromkeys(names, [0.0]))
+    >>> motion.at(200.0, 0.0).y
+    array([0.02])
     """
 
     x_err: np.ndarray = None

@@ -24,8 +24,7 @@ class Preset(Value):
     fields : mapping
         Fields of `~scope_models.Detector` and their values.
     cadences : tuple of Cadence, optional
-        The cadences to choose from; the first is the usual one. Empty if there is only that of
-        the fields.
+        The cadences to choose from, the usual one first; empty if there is only that of the fields.
 
     Examples
     --------
@@ -47,8 +46,8 @@ PRESETS = MappingProxyType(_REGISTERED)
 def register_preset(name, *, cadences=(), **fields):
     """Add a preset, or replace one that was added.
 
-    `Detector.preset <scope_models.Detector.preset>`, `~scope_models.read_detector` and
-    ``scope-models simulate --detector`` find it by its name.
+    `Detector.preset <scope_models.Detector.preset>`, TOML files and the command line find it by
+    its name.
 
     Parameters
     ----------
@@ -57,8 +56,8 @@ def register_preset(name, *, cadences=(), **fields):
     cadences : iterable of Cadence, optional
         The cadences to choose from; by default those of the mission, or that of the fields.
     **fields
-        Fields of `~scope_models.Detector`. A ``mission`` of `~scope_models.missions.MISSIONS` has
-        its own pixel scale, exposure of a frame, well depth and zero point, where none are given.
+        Fields of `~scope_models.Detector`. Of a ``mission`` of `~scope_models.missions.MISSIONS`,
+        pixel scale, exposure of a frame, well depth and zero point are the defaults.
 
     Returns
     -------
@@ -68,16 +67,14 @@ def register_preset(name, *, cadences=(), **fields):
     Raises
     ------
     ValueError
-        If the name is one of the package's own, or not in lower case.
+        If the name is the package's own, or not in lower case.
 
     Examples
     --------
     >>> from scope_models.scene import Detector, register_preset
-    >>> _ = register_preset(
-    ...     "survey", mission="survey", shape=(11, 11), zero_point=2e4, zero_point_mag=10.0,
-    ...     int_time=4.0, n_frames=15, pixel_scale=20.0, read_noise=8.0)
-    >>> Detector.preset("survey", read_noise=6.0).exposure_time
-    60.0
+    >>> _ = register_preset("survey", mission="K2", shape=(9, 9), read_noise=80.0)
+    >>> Detector.preset("survey").read_noise
+    80.0
     """
     if not isinstance(name, str) or not name or name != name.lower():
         raise ValueError(f"`name` must be text in lower case, got {name!r}")
