@@ -20,15 +20,9 @@ from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
 
 __all__ = [
-    "Source",
-    "box_signal",
-    "checked_depth",
-    "depth_ratio",
-    "fitted_depth",
-    "no_survival",
-    "transit_column",
-    "warn_of_unmasked",
-]
+    "Source", "box_signal", "checked_depth", "depth_ratio", "fitted_depth", "no_survival",
+    "transit_column", "warn_of_unmasked",
+]  # fmt: skip
 
 #: Warning: part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
@@ -42,7 +36,7 @@ class Source:
 
     pixels: Pixels  # as measured
     series: object  # their file
-    cadence_mask: np.ndarray | None  # cadences from which images are learned
+    cadence_mask: np.ndarray  # cadences from which images are learned
 
     @cached_property
     def _image(self):
@@ -55,7 +49,7 @@ class Source:
         if places is not None and np.isfinite(places[pixels.usable]).any():
             still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
             still = np.nan_to_num(still - plane)
-        alone = pixels.own is None or pixels.own.all()
+        alone = pixels.own.all()
         if alone and full is not None and still.max() >= full:
             return image, plane, share  # charge that has bled looks like a star
         try:
@@ -101,8 +95,7 @@ class Source:
         pixels = self.pixels
         own = self.light(clean) * self._image[2]
         flux = pixels.flux + own * (signal - 1)[:, None, None]
-        weights = pixels.aperture if pixels.weights is None else pixels.weights
-        total, _ = aperture_flux(flux, weights, pixels.flux_err)
+        total, _ = aperture_flux(flux, pixels.inside, pixels.flux_err)
         usable = pixels.usable & (np.nan_to_num(total) > 0)
         return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
 

@@ -1,20 +1,8 @@
 """lightkurve's arguments and objects: names of masks, options, basis vectors, design matrices."""
 
-from numbers import Real
-from os import PathLike
-
 import numpy as np
 
-from scope_models._arrays import plain_array
-
-__all__ = [
-    "LightkurveNames",
-    "external_columns",
-    "named_mask",
-    "sorted_regressors",
-    "to_collection",
-    "translated",
-]
+__all__ = ["LightkurveNames", "named_mask", "to_collection", "translated"]
 
 _RENAMED = {"pld_order": "order", "n_pca_terms": "pca_components", "niters": "max_clips"}
 _SAME = ("pca_components", "pld_aperture_mask", "background_aperture_mask", "sigma")
@@ -102,57 +90,6 @@ def named_mask(tpf, mask, name):
         f'`{name}` must be a mask, None, "pipeline", "threshold", "all", "background" or "empty", '
         f"got {mask!r}"
     )
-
-
-def sorted_regressors(regressors):
-    """Sort what `PLDCorrector.correct` takes as regressors, one or a list of them.
-
-    Returns whether the pixels outside of the aperture are among them, target pixel files, and all
-    that has a row per cadence; numbers are one column.
-    """
-    listed = isinstance(regressors, list | tuple)
-    several = listed and not any(isinstance(one, Real) for one in regressors)
-    background, others, columns = False, [], []
-    for one in regressors if several else [regressors]:
-        if isinstance(one, str) and one == "background":
-            background = True
-        elif hasattr(one, "flux") or isinstance(one, (str, PathLike)):
-            others.append(one)
-        else:
-            columns.append(one)
-    return background, others, columns
-
-
-def external_columns(regressors, cadenceno):
-    """Return columns of the user's own with unit variance, NaN where a column is unknown.
-
-    Basis vectors are matched by their cadence numbers; arrays, design matrices and collections
-    of them must have a row per cadence.
-    """
-    columns = np.concatenate([_columns_of(one, cadenceno) for one in regressors], axis=1)
-    spread = np.nanstd(columns, axis=0)
-    varies = spread > 0
-    return columns[:, varies] / spread[varies]
-
-
-def _columns_of(regressor, cadenceno):
-    n = len(cadenceno)
-    if hasattr(regressor, "cbv_indices"):
-        number, vectors = np.asarray(regressor["CADENCENO"]), regressor.cbv_indices
-        vectors = [plain_array(regressor[f"VECTOR_{k}"], "", "regressors") for k in vectors]
-        _, here, there = np.intersect1d(cadenceno, number, return_indices=True)
-        if not len(here):
-            raise ValueError("`regressors` must share cadences with the target, got none")
-        columns = np.full((n, len(vectors)), np.nan)
-        columns[here] = np.stack(vectors, axis=1)[there]
-        columns[here[np.asarray(regressor["GAP"], dtype=bool)[there]]] = np.nan
-        return columns
-    values = regressor.values if hasattr(regressor, "prior_sigma") else regressor
-    columns = plain_array(values, "", "regressors")
-    columns = columns[:, None] if columns.ndim == 1 else columns
-    if columns.ndim != 2 or len(columns) != n:
-        raise ValueError(f"`regressors` must have {n} rows, got shape {columns.shape}")
-    return columns
 
 
 def to_collection(regressors, prior_variance):

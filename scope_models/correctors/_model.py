@@ -1,41 +1,40 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy import units as u
 
 from scope_models._arrays import plain_number, plain_time
-from scope_models._checks import check_fields, checked_choice, checked_mask, integer, number
+from scope_models._checks import check_fields, checked_choice, integer, number
 from scope_models._values import Value, frozen
 from scope_models.correctors._design import (
     DesignOptions,
-    background_columns,
-    focus_columns,
+    at_rows,
+    clean_columns,
+    given_columns,
     level_column,
     make_regressors,
-    misfit_columns,
-    other_columns,
-    outside_column,
 )
-from scope_models.correctors._features import Regressors
-from scope_models.correctors._fractions import can_predict, with_predicted_fractions
 from scope_models.correctors._injection import Source, transit_column
-from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel._star import StarModel
+from scope_models.pixelmodel._columns import find_row_centers, rows_of_star, without_saturation
+from scope_models.pixelmodel._star import StarModel, fit_star
 
-__all__ = ["PLDModel", "PLDOptions", "Settings"]
+__all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict", "with_predicted_fractions"]
 
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("predicted", "measured")
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
+#: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
+#: background.
+_STATES = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -167,60 +166,44 @@ class PLDModel:
     pixels: Pixels
     options: PLDOptions
     design: DesignOptions
-    clean: StarModel | None = None
-    source: Source | None = None
+    source: Source
+    clean: StarModel | None
 
     @classmethod
-    def from_pixels(cls, pixels, options, series, cadence_mask=None):
-        """Make the model of pixels of a `PixelSeries`.
-
-        Images and components are learned from the cadences of ``cadence_mask``, by default all.
-        """
-        extra, source = {}, Source(pixels, series, cadence_mask)
-        use = pixels.usable & pixels.lit
-        if cadence_mask is not None:
-            use = use & cadence_mask
+    def from_pixels(cls, pixels, options, series, cadence_mask):
+        """Make the model of pixels of a `PixelSeries`, learned from the cadences of a mask."""
+        source, use = (
+            Source(pixels, series, cadence_mask),
+            pixels.usable & pixels.lit & cadence_mask,
+        )
         _check_enough(use)
-        background, others, columns = sorted_regressors(options.regressors)
-        outside = options.background_aperture_mask
-        if outside is not None:
-            outside = checked_mask("background_aperture_mask", outside, pixels.aperture.shape)
-            background = True
-        if background:
-            extra["background"] = background_columns(pixels, options.background, outside, use)
-        regressor_mask = options.pld_aperture_mask
-        if regressor_mask is not None:
-            shape = pixels.aperture.shape
-            regressor_mask = checked_mask("pld_aperture_mask", regressor_mask, shape)
-        if others:
-            extra["other_targets"] = other_columns(series.cadenceno, others)
-        if columns:
-            extra["regressors"] = external_columns(columns, series.cadenceno)
+        extra = given_columns(pixels, options, series.cadenceno, use)
         saturation = options.full_flux(series)
-        if pixels.weights is None and pixels.loses_charge(use & pixels.usable, saturation):
+        if pixels.weights is None and pixels.loses_charge(use, saturation):
             message = "charge of full pixels bleeds out of `aperture_mask`: give it whole columns"
             warnings.warn(message, DetrendingWarning, stacklevel=5)
         clean = None
-        plain = options.fractions != "measured" and regressor_mask is None and not background
-        if plain and can_predict(pixels, saturation, use):
+        measured = options.fractions == "measured" or options.pld_aperture_mask is not None
+        if not measured and "background" not in extra and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, saturation)
-            if clean:
-                extra["focus"] = focus_columns(clean, pixels.usable, use)
-                extra["aperture"] = outside_column(clean, pixels.usable)
-                share = source.share[*clean.grid.T[::-1]]
-                extra["misfit"] = misfit_columns(clean, share, pixels.usable)
-                pixels, saturation = predicted, None
-        if clean is None:
+        if clean is not None:
+            extra |= clean_columns(clean, source.share, pixels.usable, use)
+            pixels, saturation = predicted, None
+        else:
             if "background" not in extra:
                 extra["level"] = level_column(pixels, use)
             pixels = pixels.weighted
         time = pixels.time[use & pixels.usable]
-        breaks = tuple(b for b in options.segments if time[0] < b <= time[-1])
-        most, predicted = options.pca_components or None, clean is not None
         design = DesignOptions(
-            options.order, saturation, breaks, extra, most, regressor_mask, predicted
+            options.order,
+            saturation,
+            breaks=tuple(b for b in options.segments if time[0] < b <= time[-1]),
+            extra=extra,
+            most=options.pca_components or None,
+            mask=options.pld_aperture_mask,
+            predicted=clean is not None,
         )
-        return cls(pixels, options, design, clean, source)
+        return cls(pixels, options, design, source, clean)
 
     def __repr__(self):
         return (
@@ -228,34 +211,28 @@ class PLDModel:
             f"{self.pixels.aperture.sum()} pixels>"
         )
 
-    def design_matrix(self, cadence_mask=None):
+    def design_matrix(self, cadence_mask):
         """Return the `Regressors`, NaN in cadences that cannot be used.
 
-        Means and principal components are those of the cadences of the mask, by default all.
+        Means and principal components are those of the cadences of the mask.
         """
         usable = self.pixels.usable
-        use = usable if cadence_mask is None else usable & cadence_mask
-        found = make_regressors(self.pixels, use[usable], self.design)
-        columns = np.full((len(usable), found.columns.shape[1]), np.nan)
-        columns[usable] = found.columns
-        return Regressors(columns, found.groups, found.names)
+        found = make_regressors(self.pixels, cadence_mask[usable], self.design)
+        return replace(found, columns=at_rows(found.columns, usable))
 
-    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
+    def fit(self, cadence_mask, transit_mask, transit_model=None):
         """Fit the model to cadences that may be used and are not in transit; return a `PLDFit`.
 
         The amplitude of the relative flux of a ``transit_model`` is fitted jointly. A ValueError is
         raised if no regressor varies, fewer than 30 cadences are left, or the covariance is
         singular.
         """
-        pixels, n = self.pixels, len(self.pixels.time)
-        usable = pixels.usable
-        mask = np.ones(n, dtype=bool) if cadence_mask is None else cadence_mask
-        mask = mask & pixels.lit
-        in_transit = np.zeros(n, dtype=bool) if transit_mask is None else transit_mask
-        column = np.empty((n, 0))
+        pixels, usable = self.pixels, self.pixels.usable
+        mask = cadence_mask & pixels.lit & ~transit_mask
+        column = np.empty((len(usable), 0))
         if transit_model is not None:
             column = transit_column(transit_model, pixels.time)
-        allowed = (mask & ~in_transit)[usable]
+        allowed = mask[usable]
         _check_enough(allowed)
         total = pixels.total[usable]
         y = np.log(total / np.median(total[allowed]))
@@ -283,9 +260,7 @@ class PLDModel:
                 "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
                 "`cadence_mask`"
             )
-        if not column.size:
-            transit_model = None
-        return PLDFit(self, solution, mask & ~in_transit, in_transit, transit_model)
+        return PLDFit(self, solution, mask, transit_mask, transit_model if column.size else None)
 
 
 def _check_enough(use):
@@ -293,3 +268,99 @@ def _check_enough(use):
         raise ValueError(
             f"at least {_FEWEST_CADENCES} usable cadences of `tpf` are needed, got {use.sum()}"
         )
+
+
+def can_predict(pixels, saturation, use):
+    """Whether the pixel fractions can be predicted, learned from the cadences in ``use``.
+
+    Not with few pixels, of which full columns, at ``saturation``, e-/s, are one each, without
+    FLUX_ERR, nor for a moving aperture over full columns.
+    """
+    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
+    full = pixels.full_columns(use, saturation)
+    seen = _seen(pixels)
+    n_pixels = (seen & full).any(axis=0).sum() + (seen & ~full).sum()
+    if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
+        return False
+    return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+
+
+def _seen(pixels):
+    """Return the pixels with data that may show the star."""
+    seen = np.zeros_like(pixels.aperture)
+    seen[pixels.near] = True
+    return seen & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+
+
+def with_predicted_fractions(pixels, pos_corr, learned, saturation):
+    """Return the star's light with predicted pixel fractions in place of the measured pixels.
+
+    Images are ``learned`` from some cadences. The ``total`` of the returned pixels is the light
+    without background, their ``flux`` the predicted fractions at constant focus times this. Second
+    comes the `StarModel`; None, with the pixels as they were, if it is singular or not one of
+    light, or if there are too few cadences.
+    """
+    use = pixels.usable
+    full = pixels.full_columns(learned, saturation)
+    # others do not vary with this one
+    known = _seen(pixels) & (pixels.aperture | pixels.own & ~full)
+    rows, columns = np.nonzero(known)
+    if pos_corr is None:
+        pos_corr = np.full((len(use), 2), np.nan)
+    error = pixels.flux_err[use][:, known]
+    error = np.where(error > 0, error, np.nan)
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
+        typical = np.nanmedian(error, axis=0)
+    typical[np.isnan(typical)] = np.nanmedian(typical)
+    error = np.where(np.isnan(error), typical, error)
+    try:
+        with np.errstate(all="ignore"):  # of a model that fails
+            clean = fit_star(
+                pixels.time[use],
+                pixels.flux[use][:, known],
+                error,
+                pos_corr[use],
+                np.stack([columns, rows], axis=1),
+                pixels.aperture[known],
+                use=pixels.quiet(learned)[use],
+                banded=pixels.banded[use],
+                full=full[columns],
+            )
+    except (np.linalg.LinAlgError, ValueError):  # singular, or no number
+        clean = None
+    if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
+        message = (
+            "the model of the pixels fails, or the star has too many places for so few cadences: "
+            "measured fractions are taken"
+        )
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return pixels, None
+    light, light_error = clean.light, clean.light_error
+    if pixels.weights is not None:
+        light, light_error = _light_in_window(pixels, clean, use, known)
+    flux = np.zeros_like(pixels.flux)
+    cube = np.zeros((use.sum(), *known.shape))
+    cube[:, known] = clean.still * light[:, None]
+    if full.any():
+        inside, learned = pixels.aperture & known, learned[use]
+        centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
+        varies = clean.position, clean.variable, learned
+        cube = without_saturation(cube, full, rows_of_star(centers, *varies), inside)
+        if pixels.neighbors is not None:  # what is left of their light follows the star
+            weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
+            clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
+    flux[use] = cube
+    total, total_err = at_rows(light, use), at_rows(light_error, use)
+    usable = use & (np.nan_to_num(total) > 0)
+    return replace(pixels, flux=flux, total=total, total_err=total_err, usable=usable), clean
+
+
+def _light_in_window(pixels, clean, use, known):
+    """Return the star's light from the part that a moving aperture holds, and its error."""
+    weights = pixels.weights[use][:, known] * pixels.aperture[known]
+    held = np.sum(weights * clean.shares, axis=1)
+    measured = pixels.flux[use][:, known] - clean.background
+    predicted = clean.shares * clean.light[:, None]
+    light = np.sum(weights * np.where(clean.repaired, predicted, measured), axis=1) / held
+    variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
+    return light, np.sqrt(variance) / held

@@ -1,4 +1,4 @@
-"""Periodic variability: the frequencies of a star that pulsates, is eclipsed, or rotates fast."""
+"""Variability that is no slow process: waves of stars that pulsate or rotate, short changes."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -6,12 +6,14 @@ from functools import lru_cache, partial
 import numpy as np
 from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy import ndimage
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
+from scipy.stats import t as student_t
 
-from scope_models.correctors._regression import Hyperparameters, Posterior
+from scope_models.correctors._regression import SLOWEST, Hyperparameters, Posterior
 
-__all__ = ["FAST", "find_rotation", "find_waves"]
+__all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
 
 #: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
 FAST = 1.0
@@ -22,7 +24,6 @@ _SIGNIFICANT = 40.0
 #: Tolerance: frequencies found in one round, and how far apart they are in units of one over the
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
-_ROUNDS = 20
 #: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
@@ -41,6 +42,15 @@ _TURNS, _HARMONICS = (2.0, 10.0), 3
 #: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
 #: which it may repeat itself; and twice the logarithm of the likelihood at the end of a search.
 _REACH, _PRECISION = 3.0, 0.1
+#: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
+_MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
+#: Tolerance: number of runs of a light curve that deviate as much by chance.
+_CHANCE = 0.1
+#: Tolerance: a search is for those that deviate by this part of the largest deviation: a deep
+#: transit bends the process around it.
+_PART = 0.5
+#: Tolerance: largest number of searches for waves, and for short changes.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -351,3 +361,68 @@ def _peaks(frequency, gain, resolution):
         if len(chosen) == _AT_ONCE:
             break
     return chosen
+
+
+def short_changes(solution):
+    """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates.
+
+    What all other cadences predict has regressors and a slow process, which follows no transit. The
+    unit is the typical deviation of runs of the same length, of which there are few long ones: by
+    chance, deviations follow Student's t.
+    """
+    time, used = solution.time, solution.data.time
+    width = _width(used)
+    if len(used) < 2 * width * _RUNS[-1]:
+        return np.empty((len(time), 0))
+    runs = _runs(solution.data.averaged(width), solution.posterior.mean, solution.hyper)
+    begins, ends = used[width * runs[:, 0]], used[width * runs[:, 1] - 1]
+    columns = ((time[:, None] >= begins) & (time[:, None] <= ends)).astype(float)
+    # half of the cadences in use remain
+    lost = with_edges(time, columns.any(axis=1))[solution.use]
+    return columns[:, : 0 if lost.mean() > 0.5 else None]
+
+
+def with_edges(time, short):
+    """Return cadences of short changes with those around them, where the changes may begin."""
+    return ndimage.binary_dilation(short, iterations=_width(time))
+
+
+def _width(time):
+    """Return the number of cadences of a mean."""
+    return max(round(_MEAN / float(np.median(np.diff(time)))), 1)
+
+
+def _runs(data, mean, hyper):
+    """Return the first means of runs that deviate, and those after the last, ``(n_runs, 2)``."""
+    n, rest = len(data.y), data.y - data.columns @ mean
+    amplitude = min(hyper.amplitude, max(mad_std(rest) ** 2, np.median(data.variance)))
+    hyper = replace(hyper, amplitude=amplitude, period=SLOWEST, walk=0.0)
+    process = hyper.process(data.time, data.variance)
+    inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
+    free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
+    limits = [student_t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
+    for _ in range(_ROUNDS):
+        index = np.arange(n)[:, None]
+        boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
+        trial = replace(data, columns=np.concatenate([data.columns, boxes], axis=1))
+        whitened = process.whiten(trial.stacked)
+        solved = process.solve_whitened(whitened)
+        posterior = Posterior(whitened.T @ whitened, hyper.prior(trial))
+        solved[:, -1] -= solved[:, :-1] @ posterior.mean
+        sums = np.cumsum(np.pad(solved, ((1, 0), (0, 0))), axis=0)
+        deviating, new = [], []
+        for k, precision, limit in zip(_RUNS, inverse, limits, strict=True):
+            run = sums[k:] - sums[:-k]
+            explained = np.einsum("ij,ij->i", run[:, :-1] @ posterior.covariance, run[:, :-1])
+            size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
+            size /= 1.4826 * np.median(size)
+            deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > limit)]
+        least = _PART * max(deviating, default=(0.0,))[0]
+        for size, *run in sorted(deviating, reverse=True):
+            if size > least and free[slice(*run)].all():
+                free[slice(*run)] = False
+                new.append(run)
+        if not new:
+            break
+        runs = np.concatenate([runs, new])
+    return runs

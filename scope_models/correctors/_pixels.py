@@ -11,7 +11,7 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel._columns import FEWEST, full_columns
+from scope_models.pixelmodel._columns import FEWEST, full_columns, full_pixels
 from scope_models.pixelmodel._position import (
     COORDINATES,
     DARK_PART,
@@ -23,22 +23,10 @@ from scope_models.pixelmodel._position import (
 from scope_models.pixelmodel._smoothing import CLIP, quantile
 
 __all__ = [
-    "LARGEST_CORRECTION",
-    "NOISIER",
-    "OTHER_STAR",
-    "UNKNOWN_NOISE",
-    "WORSE",
-    "Pixels",
-    "aperture_pixels",
-    "at_one_place",
-    "choose_aperture",
-    "credible_flux",
-    "noise_ratios",
-    "scatter",
-    "typical_image",
-    "warn_of_pipeline",
-    "without_background",
-]
+    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "UNKNOWN_NOISE", "WORSE", "Pixels",
+    "aperture_pixels", "at_one_place", "choose_aperture", "credible_flux", "noise_ratios",
+    "scatter", "typical_image", "warn_of_pipeline", "without_background",
+]  # fmt: skip
 
 #: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -69,54 +57,25 @@ OTHER_STAR = 0.02
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of an aperture and which cadences can be used.
+    """Pixels of an aperture and which cadences can be used."""
 
-    Parameters
-    ----------
-    time : ndarray
-        Days, ``(n_cadences,)``; NaN where unknown.
-    flux, flux_err : ndarray
-        Pixel fluxes and their errors in e-/s, ``(n_cadences, ny, nx)``.
-    aperture : ndarray of bool
-        Pixels that are summed, ``(ny, nx)``.
-    total, total_err : ndarray
-        Sum over the aperture and its error, ``(n_cadences,)``.
-    usable : ndarray of bool
-        Cadences with finite time, finite pixels and a positive sum.
-    weights : ndarray or None
-        Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
-    own : ndarray of bool, optional
-        Pixels that are not those of other stars, ``(ny, nx)``.
-    crowding : float, optional
-        The target's share of the aperture's light: all but that in pixels of other stars.
-    lit : ndarray of bool, optional
-        Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
-    banded : ndarray of bool, optional
-        Cadences with rolling bands, ``(n_cadences,)``.
-    neighbors : NeighborLight, optional
-        Other stars whose light was taken off.
-    core : ndarray of bool, optional
-        Pixels of the aperture among which the brightest one is the target's, ``(ny, nx)``: those
-        that are in the pipeline's too, if there are any, and of the star at the file's coordinates.
-    place : ndarray, optional
-        Column and row of the target by these, if that is in the aperture, ``(2,)``.
-    """
-
-    time: np.ndarray
-    flux: np.ndarray
+    time: np.ndarray  # days, (n_cadences,); NaN where unknown
+    flux: np.ndarray  # e-/s, (n_cadences, ny, nx)
     flux_err: np.ndarray
-    aperture: np.ndarray
-    total: np.ndarray
+    aperture: np.ndarray  # pixels that are summed, (ny, nx)
+    total: np.ndarray  # sum over them, (n_cadences,)
     total_err: np.ndarray
-    usable: np.ndarray
-    weights: np.ndarray | None = None
-    own: np.ndarray | None = None
-    crowding: float = 1.0
-    lit: np.ndarray | bool = True
-    banded: np.ndarray | None = None
-    neighbors: object = None
-    core: np.ndarray | None = None
-    place: np.ndarray | None = None
+    usable: np.ndarray  # cadences with finite time, finite pixels and a positive sum
+    weights: np.ndarray | None  # of a moving aperture, as flux; None: all pixels count alike
+    own: np.ndarray  # pixels that are not those of other stars, (ny, nx)
+    crowding: float  # the target's share of the aperture's light: all but that of such pixels
+    lit: np.ndarray  # cadences that show the star; from the others nothing is learned
+    banded: np.ndarray  # cadences with rolling bands
+    # pixels of the aperture among which the brightest one is the target's: those that are in the
+    # pipeline's too, if there are any, and of the star at the file's coordinates
+    core: np.ndarray
+    place: np.ndarray | None  # column and row of the target by these, if that is in the aperture
+    neighbors: object = None  # a `NeighborLight`: other stars whose light was taken off
 
     @property
     def near(self):
@@ -131,8 +90,7 @@ class Pixels:
 
     def bled(self, use, saturation):
         """Return full pixels and those next to them along columns, which hold bled charge."""
-        full = np.sum(self.flux[use] > (saturation or np.inf), axis=0) >= FEWEST
-        return ndimage.binary_dilation(full, np.ones((3, 1)))
+        return ndimage.binary_dilation(full_pixels(self.flux, use, saturation), np.ones((3, 1)))
 
     def loses_charge(self, use, saturation):
         """Return whether full pixels are above or below the aperture: it lacks what has bled."""
@@ -145,23 +103,29 @@ class Pixels:
         return quiet if quiet.sum() > use.sum() / 2 else use
 
     @property
+    def inside(self):
+        """Weight of each pixel in the sum."""
+        return self.aperture if self.weights is None else self.weights
+
+    @property
     def weighted(self):
         """The same, with pixels multiplied with their weights: their fractions are measured."""
         return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
-def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, saturation=None):
-    """Choose the aperture whose sum is expected to be most precise.
+def choose_aperture(series, place):
+    """Choose the aperture of a file whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
     stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
-    aperture loses with the star's motion least; all without ``pos_corr``, ``(n_cadences, 2)`` px.
-    Columns with full pixels, at ``saturation``, e-/s, are whole: charge bleeds as far as it must.
-    The target is searched in the pixels of ``pipeline``, near its ``place`` if that is known.
+    aperture loses with the star's motion least; all without POS_CORR. Columns with full pixels are
+    whole: charge bleeds as far as it must. The target is searched in the pixels of the pipeline,
+    near its ``place`` if that is known.
     """
-    if len(flux) < FEWEST:
-        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {FEWEST} are needed")
-    given, flux = flux, without_background(flux)
+    given, pos_corr = series.flux, series.pos_corr
+    if len(given) < FEWEST:
+        raise ValueError(f"`tpf` has {len(given)} cadences: at least {FEWEST} are needed")
+    flux = without_background(given)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -174,18 +138,16 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     count = max(FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
-        noise = np.nan_to_num(np.nanmedian(flux_err[finite], axis=0))
+        noise = np.nan_to_num(np.nanmedian(series.flux_err[finite], axis=0))
     mean = np.median(values, axis=0)
     light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
     lit = bright > np.maximum(CLIP * noise, _SMALLEST_SHARE * light)
     labels, _ = ndimage.label(lit)
-    near = np.ones_like(lit) if pipeline is None or not pipeline.any() else pipeline
-    if not (lit & near).any():
-        near = np.ones_like(lit)
-    if not (lit & near).any():
+    near = lit & series.aperture if (lit & series.aperture).any() else lit
+    if not near.any():
         message = "no pixel of `tpf` is above its noise: no aperture can be chosen"
         raise ValueError(f"{message}, give `aperture_mask`")
-    target = _target_pixels(mean, lit & near, place)
+    target = _target_pixels(mean, near, place)
     peak = np.argmax(np.where(target, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others
@@ -193,7 +155,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     if pos_corr is not None:
         around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
         near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
-        best = _most_precise(flux, flux_err, own, around & near, pos_corr)
+        best = _most_precise(flux, series.flux_err, own, around & near, pos_corr)
+    saturation = series.mission and series.mission.full_flux
     full = full_columns(np.where(best, given, 0.0), finite, saturation)
     return best | full & ~others & np.isfinite(given[finite]).all(axis=0)
 
@@ -201,7 +164,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
 def _target_pixels(image, near, place):
     """Return those of some pixels from which the light rises to the target's peak.
 
-    The target is the brightest star, of several one at its place by the file's coordinates.
+    Where they do not hold its place by the file's coordinates, the target is the brightest star.
     """
     if not _hold(near, place):
         return near
@@ -247,11 +210,7 @@ def without_background(flux):
         terms = terms[:, :, :1]
     change = flux[:, dark] - typical[dark]
     more = np.where(np.isfinite(change), change, 0.0) @ np.linalg.pinv(terms[dark]).T
-    return (
-        flux
-        - background_plane(typical)
-        - (more @ terms.reshape(-1, terms.shape[2]).T).reshape(flux.shape)
-    )
+    return flux - background_plane(typical) - np.moveaxis(terms @ more.T, 2, 0)
 
 
 def _most_precise(flux, flux_err, own, candidates, pos_corr):
@@ -306,11 +265,7 @@ def background_plane(image):
 
 
 def aperture_pixels(series, aperture):
-    """Return the pixels of an aperture of a `PixelSeries`: a mask, weights by cadence, or chosen.
-
-    A TypeError or ValueError is raised if it is no mask of pixels with data, or the sums are not
-    positive.
-    """
+    """Return `Pixels` of a `PixelSeries`; the aperture is a mask, weights by cadence, or None."""
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
     bands = series.mission.quality.rolling_band if series.mission else 0
@@ -319,10 +274,7 @@ def aperture_pixels(series, aperture):
     place = target_place(series)
     if aperture is None:
         dark = ~banded  # rolling bands light up pixels without stars
-        positions = None if series.pos_corr is None else series.pos_corr[dark]
-        full = series.mission and series.mission.full_flux
-        data = flux[dark], flux_err[dark], series.aperture, positions
-        aperture = choose_aperture(*data, place, full)
+        aperture = choose_aperture(series[dark], place)
     elif np.ndim(aperture) == 3:
         weights = checked_weights("aperture_mask", aperture, flux.shape)
         aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
@@ -346,27 +298,34 @@ def aperture_pixels(series, aperture):
     noise = CLIP * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
-    core = aperture & series.aperture
-    core = core if core.any() else aperture
+    core = aperture & series.aperture if (aperture & series.aperture).any() else aperture
     own, crowding, core = _own_light(flux[positive], aperture, core, places, place)
-    if chosen:
-        _compare_pipeline(series, aperture, positive, own)
-    return Pixels(
+    pixels = Pixels(
         time, flux, flux_err, aperture, total, total_err, positive, weights, own, crowding, lit,
-        banded, core=core, place=place if _hold(aperture, place) else None,
+        banded, core, place if _hold(aperture, place) else None,
     )  # fmt: skip
+    if chosen:
+        _compare_pipeline(series, pixels)
+    return pixels
 
 
 _REMEDY = 'compare `aperture_mask="pipeline"`'
 
 
-def _compare_pipeline(series, aperture, usable, own):
+def _other_aperture(series, pixels):
+    """Return the pipeline's aperture without other stars, if it is one and not that of pixels."""
+    other = series.aperture & (pixels.own | pixels.aperture)
+    differs = other.any() and not other.all() and (other != pixels.aperture).any()
+    return other if differs else None
+
+
+def _compare_pipeline(series, pixels):
     """Warn if the pipeline's aperture has other light than the chosen one, of the same star."""
-    other = series.aperture & (own | aperture)
-    if not other.any() or other.all() or (other == aperture).all():
+    other, aperture = _other_aperture(series, pixels), pixels.aperture
+    if other is None:
         return
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without data
-        image = np.nan_to_num(np.nanmedian(series.flux[usable], axis=0))
+        image = np.nan_to_num(np.nanmedian(series.flux[pixels.usable], axis=0))
     inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
     if inside < whole / 2:
         part = 100 * max(inside / whole, 0)
@@ -381,8 +340,8 @@ def warn_of_pipeline(series, pixels, flux, share):
     The ``share`` is the part of the light in the aperture that was not taken off; pixels of other
     stars do not count.
     """
-    other, good = series.aperture & (pixels.own | pixels.aperture), np.isfinite(flux)
-    if not other.any() or other.all() or (other == pixels.aperture).all():
+    other, good = _other_aperture(series, pixels), np.isfinite(flux)
+    if other is None:
         return
     its = np.nansum(series.flux[good][:, other], axis=1)
     sizes = [share * _jumps(flux[good]), _jumps(its)]

@@ -11,14 +11,9 @@ from scipy.optimize import minimize
 from scope_models.correctors._covariance import FORGOTTEN, Covariance, Noise
 
 __all__ = [
-    "FLAT",
-    "SLOWEST",
-    "Data",
-    "Hyperparameters",
-    "Posterior",
-    "fit_hyperparameters",
+    "FLAT", "SLOWEST", "Data", "Hyperparameters", "Posterior", "fit_hyperparameters",
     "log_likelihood",
-]
+]  # fmt: skip
 
 #: Prior: variance of the columns with flat priors, in units of the data's.
 FLAT = 1e4

@@ -11,6 +11,7 @@ from scipy import ndimage
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import html_table
+from scope_models.correctors._design import at_rows
 from scope_models.correctors._injection import (
     box_signal,
     checked_depth,
@@ -154,7 +155,7 @@ class PLDFit:
     @property
     def used(self):
         """Cadences in the fit, ``(n_cadences,)``."""
-        return self._whole(self.solution.use, fill=False)
+        return self._whole(self.solution.use)
 
     @property
     def outliers(self):
@@ -162,7 +163,7 @@ class PLDFit:
 
         Not those of `dips`, which are left out of the fit too, nor short brightenings.
         """
-        return self._whole(self._left_out & ~self._in_dips & ~self.solution.short, fill=False)
+        return self._whole(self._left_out & ~self._in_dips & ~self.solution.short)
 
     @property
     def dips(self):
@@ -171,7 +172,7 @@ class PLDFit:
         Two or more in a row, as in transits and eclipses, each or all together fainter than the
         model by more than the errors of noise and systematics allow.
         """
-        return self._whole(self._in_dips, fill=False)
+        return self._whole(self._in_dips)
 
     @property
     def _left_out(self):
@@ -272,7 +273,7 @@ class PLDFit:
         images[:, rows, columns] = list(leaks.values())
         return plot_states(
             pixels.time,
-            {name: self._whole(values, which=modeled) for name, values in states.items()},
+            {name: at_rows(values, modeled) for name, values in states.items()},
             dict(zip(leaks, images, strict=True)),
             pixels.aperture,
             time_label=f"Time ({self.model.source.series.time_format.upper()})",
@@ -280,12 +281,9 @@ class PLDFit:
 
     # The light curve's parts
 
-    def _whole(self, values, fill=np.nan, which=None):
-        """Return an array over all cadences from one over the usable or other ones."""
-        which = self.model.pixels.usable if which is None else which
-        whole = np.full(len(which), fill)
-        whole[which] = values
-        return whole
+    def _whole(self, values):
+        """Return an array over all cadences from one over the usable ones."""
+        return at_rows(values, self.model.pixels.usable)
 
     @cached_property
     def systematics(self):
@@ -425,9 +423,8 @@ class PLDFit:
     @cached_property
     def contrast_error(self):
         """Relative uncertainty of depths and amplitudes due to other light in the aperture."""
-        source, clean = self.model.source, self.model.clean
-        known = 0.0 if source is None else source.contrast_error
-        return max(known, 0.0 if clean is None else clean.constant)
+        clean = self.model.clean
+        return max(self.model.source.contrast_error, clean.constant if clean else 0.0)
 
     @property
     def crowding(self):
@@ -438,9 +435,8 @@ class PLDFit:
         pipeline's aperture by the file's CROWDSAP.
         """
         pixels, source, clean = self.model.pixels, self.model.source, self.model.clean
-        blended = source is not None and pixels.own is not None and pixels.own.all()
-        other = source.other_light if blended else 0.0
-        stated = source and source.series.header.get("CROWDSAP")
+        other = source.other_light if pixels.own.all() else 0.0
+        stated = source.series.header.get("CROWDSAP")
         known = isinstance(stated, float) and 0 < stated <= 1
         if not known or not pixels.aperture[source.series.aperture].all():  # it is of another one
             stated = 1.0
@@ -507,10 +503,10 @@ class PLDFit:
         Warns
         -----
         DetrendingWarning
-            If the survival is NaN, with the reason: no file is behind the fit, the model is
-            constant in the data, the correction fails with the transit in it, the slope is outside
-            of -0.05 to 1.15 and thus no survival, or two of its standard deviations reach from
-            nothing to all, as in series that are short or hold wild cadences.
+            If the survival is NaN, with the reason: the model is constant in the data, the
+            correction fails with the transit in it, the slope is outside of -0.05 to 1.15 and thus
+            no survival, or two of its standard deviations reach from nothing to all, as in series
+            that are short or hold wild cadences.
         """
         return self._survival_of(transit_model, depth)[0]
 
@@ -518,8 +514,6 @@ class PLDFit:
     def _survival_of(self, transit_model, depth):
         """Return a survival and its standard deviation."""
         pixels = self.model.pixels
-        if self.model.source is None:
-            return no_survival("no file is behind the fit")
         flux, flux_err = self.corrected()
         with np.errstate(all="ignore"):  # as in `corrected`
             weight = flux_err / flux
@@ -605,7 +599,7 @@ class PLDFit:
         if not self.joint:
             warn_of_unmasked(column[usable, 0], self.cadence_mask[usable])
         first = fitted_depth(self, column)
-        if not np.isfinite(first).all() or self.model.source is None:
+        if not np.isfinite(first).all():
             return first
         try:
             return self._without_response(column, *first)

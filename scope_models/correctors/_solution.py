@@ -5,7 +5,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from scope_models.correctors._periodic import FAST, find_rotation, find_waves
+from scope_models.correctors._periodic import (
+    FAST,
+    find_rotation,
+    find_waves,
+    short_changes,
+    with_edges,
+)
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -13,7 +19,6 @@ from scope_models.correctors._regression import (
     Posterior,
     fit_hyperparameters,
 )
-from scope_models.correctors._short import short_changes, with_edges
 
 __all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 

@@ -5,17 +5,16 @@ import warnings
 import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models._checks import checked_cadences, solvable
+from scope_models._checks import checked_cadences, checked_mask, solvable
 from scope_models._threads import one_thread
 from scope_models._values import frozen
-from scope_models.correctors._fractions import can_predict
 from scope_models.correctors._lightkurve import (
     LightkurveNames,
     named_mask,
     to_collection,
     translated,
 )
-from scope_models.correctors._model import PLDModel, PLDOptions, Settings
+from scope_models.correctors._model import PLDModel, PLDOptions, Settings, can_predict
 from scope_models.correctors._neighbors import (
     given_neighbors,
     light_of_neighbors,
@@ -221,7 +220,8 @@ class PLDCorrector(LightkurveNames, Corrector):
             raise TypeError(f"`options` must be PLDOptions or None, got {options!r}")
         settings = vars(options or PLDOptions()) | {"order": order} | translated(lightkurve_options)
         for name in ("pld_aperture_mask", "background_aperture_mask"):
-            settings[name] = named_mask(self.tpf, settings[name], name)
+            if (mask := named_mask(self.tpf, settings[name], name)) is not None:
+                settings[name] = checked_mask(name, mask, self._series.flux.shape[1:])
         settings = Settings(**settings, fractions=fractions, regressors=regressors)
         series = self._series
         if positions is not None:
@@ -237,7 +237,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             try:
                 pixels, series = self._alone(pixels, series, settings, mask)
                 model = PLDModel.from_pixels(pixels, settings, series, mask)
-                result = model.fit(mask, transit_mask=in_transit, transit_model=transit_model)
+                result = model.fit(mask, in_transit, transit_model)
             except NothingToCorrectError:
                 message = "the pixel fractions do not vary: the light curve is left as it is"
                 warnings.warn(message, DetrendingWarning, stacklevel=2)

@@ -6,19 +6,9 @@ from scipy.linalg import cholesky, solve_triangular
 from scope_models.pixelmodel._smoothing import quantile
 
 __all__ = [
-    "BLOCK",
-    "COORDINATES",
-    "DARK_PART",
-    "ENOUGH",
-    "FEWEST_DARK",
-    "REWEIGHTS",
-    "Features",
-    "Flow",
-    "dark_plane",
-    "nearness",
-    "polynomials",
-    "precise_aperture",
-]
+    "BLOCK", "COORDINATES", "DARK_PART", "ENOUGH", "FEWEST_DARK", "REWEIGHTS", "Features", "Flow",
+    "dark_plane", "nearness", "pivoted_cholesky", "polynomials", "precise_aperture",
+]  # fmt: skip
 
 #: Prior: degree of the polynomials of position by which light changes.
 _DEGREE = 3
@@ -42,17 +32,15 @@ class Features:
 
     def __init__(self, position, scale, tolerance):
         few = position[:: max(1, len(position) // 600)]
-        rest, rows, pivots = np.ones(len(few)), np.zeros((len(few), len(few))), []
+
+        def column(k):
+            return _kernel(few, few[k : k + 1], scale)[:, 0]
+
+        def ends(rest):
+            return rest.max() < tolerance
+
         self._scale = scale
-        for k in range(len(few)):
-            pivot = int(np.argmax(rest))
-            if rest[pivot] < tolerance:
-                break
-            row = _kernel(few, few[pivot : pivot + 1], scale)[:, 0] - rows[:k, pivot] @ rows[:k]
-            rows[k] = row / np.sqrt(rest[pivot])
-            rest = np.maximum(rest - rows[k] ** 2, 0)
-            pivots.append(pivot)
-        self._pivots = few[pivots]
+        self._pivots = few[pivoted_cholesky(np.ones(len(few)), column, ends, len(few))[0]]
         kernel = self.kernel(self._pivots)
         kernel.flat[:: len(kernel) + 1] += 1e-10
         self._lower = cholesky(kernel, lower=True)
@@ -73,6 +61,21 @@ class Features:
     def slope_weights(self, weights):
         """Return those of derivatives along x and y, plus multiples of the combinations."""
         return [pivot[:, None] / self._scale**2 * weights for pivot in self._pivots.T]
+
+
+def pivoted_cholesky(diagonal, column, ends, most):
+    """Return the pivots of a kernel, and as many rows of its factor, ``(n_pivots, n)``.
+
+    ``column`` is a function that returns the column of a pivot; ``ends`` returns whether what is
+    left of the diagonal is small enough. There are ``most`` pivots or fewer.
+    """
+    rest, rows, pivots = diagonal, np.zeros((most, len(diagonal))), []
+    while len(pivots) < most and not ends(rest):
+        k, pivot = len(pivots), int(np.argmax(rest))
+        rows[k] = (column(pivot) - rows[:k, pivot] @ rows[:k]) / np.sqrt(rest[pivot])
+        rest = np.maximum(rest - rows[k] ** 2, 0.0)
+        pivots.append(pivot)
+    return pivots, rows[: len(pivots)]
 
 
 def _at_edge(four):

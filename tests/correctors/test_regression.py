@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from scope_models.correctors import _regression
 from scope_models.correctors._covariance import FORGOTTEN, Covariance
-from scope_models.correctors._features import Regressors
+from scope_models.correctors._design import Regressors
 from scope_models.correctors._model import Settings
 from scope_models.correctors._regression import (
     Data,
