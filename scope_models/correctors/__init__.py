@@ -8,6 +8,10 @@ from scope_models.correctors.compare import ComparisonResult, compare_correctors
 from scope_models.correctors.pld import PLDCorrector
 
 __all__ = [
-    "ComparisonResult", "PLDCorrector", "PLDFit", "PLDOptions", "compare_correctors",
+    "ComparisonResult",
+    "PLDCorrector",
+    "PLDFit",
+    "PLDOptions",
+    "compare_correctors",
     "detrend_file",
-]  # fmt: skip
+]

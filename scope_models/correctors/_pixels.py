@@ -11,21 +11,22 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel._columns import FEWEST, full_columns, full_pixels
-from scope_models.pixelmodel._position import (
+from scope_models.pixelmodel._smooth import (
+    CLIP,
     COORDINATES,
     DARK_PART,
     FEWEST_DARK,
     dark_plane,
     nearness,
     precise_aperture,
+    quantile,
 )
-from scope_models.pixelmodel._smoothing import CLIP, quantile
+from scope_models.pixelmodel._stamp import FEWEST, full_columns, full_pixels
 
 __all__ = [
-    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "UNKNOWN_NOISE", "WORSE", "Pixels",
-    "aperture_pixels", "at_one_place", "choose_aperture", "credible_flux", "noise_ratios",
-    "scatter", "typical_image", "warn_of_pipeline", "without_background",
+    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "WORSE", "Pixels", "aperture_pixels",
+    "at_one_place", "at_rows", "choose_aperture", "credible_flux", "noise_ratios", "scatter",
+    "typical_image", "warn_of_pipeline", "without_background",
 ]  # fmt: skip
 
 #: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
@@ -38,7 +39,6 @@ _BRIGHT_PART = 0.002
 LARGEST_CORRECTION = 30.0
 #: Warning: a correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
 WORSE = 1.1
-UNKNOWN_NOISE = "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
 NOISIER = (
     "the corrected light curve scatters more than the sum over the aperture, or there is no light "
     "above the noise: do not use it"
@@ -89,7 +89,7 @@ class Pixels:
         return full_columns(np.where(self.aperture, measured, 0.0), use, saturation)
 
     def bled(self, use, saturation):
-        """Return full pixels and those next to them along columns, which hold bled charge."""
+        """Return full pixels and those next to them along columns."""
         return ndimage.binary_dilation(full_pixels(self.flux, use, saturation), np.ones((3, 1)))
 
     def loses_charge(self, use, saturation):
@@ -113,14 +113,21 @@ class Pixels:
         return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
+def at_rows(values, rows):
+    """Return values with NaN, or False, in the places of other rows of a mask."""
+    fill = False if values.dtype == bool else np.nan
+    whole = np.full((len(rows), *values.shape[1:]), fill)
+    whole[rows] = values
+    return whole
+
+
 def choose_aperture(series, place):
     """Choose the aperture of a file whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
-    stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
-    aperture loses with the star's motion least; all without POS_CORR. Columns with full pixels are
-    whole: charge bleeds as far as it must. The target is searched in the pixels of the pipeline,
-    near its ``place`` if that is known.
+    stars. Of these the ones are summed that make the noise of 6.5 h and the light lost with the
+    star's motion least; all without POS_CORR. Columns with full pixels are whole: charge bleeds as
+    far as it must. The target is in the pipeline's pixels, near its ``place`` if that is known.
     """
     given, pos_corr = series.flux, series.pos_corr
     if len(given) < FEWEST:
@@ -137,8 +144,7 @@ def choose_aperture(series, place):
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
     count = max(FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
-        noise = np.nan_to_num(np.nanmedian(series.flux_err[finite], axis=0))
+    noise = np.nan_to_num(typical_image(series.flux_err[finite]))
     mean = np.median(values, axis=0)
     light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
     lit = bright > np.maximum(CLIP * noise, _SMALLEST_SHARE * light)
@@ -229,8 +235,7 @@ def _most_precise(flux, flux_err, own, candidates, pos_corr):
 def own_pixels(image, peak):
     """Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 15 % of the fainter one, 30 % along columns,
-    are one star's. ``peak`` is a flat index of the typical image.
+    Peaks between which the light drops little are one star's; ``peak`` is a flat index.
     """
     values = np.where(np.isfinite(image), image, -np.inf)
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -256,10 +261,7 @@ def _plane_terms(shape):
 
 
 def background_plane(image):
-    """Return the background of a median image: a plane through its darkest pixels.
-
-    The image, ``(ny, nx)``, is NaN where there are no data.
-    """
+    """Return the background of a median image: a plane through its darkest pixels."""
     terms, known = _plane_terms(image.shape), np.isfinite(image)
     return terms @ dark_plane(image[known], terms[known])
 
@@ -324,8 +326,7 @@ def _compare_pipeline(series, pixels):
     other, aperture = _other_aperture(series, pixels), pixels.aperture
     if other is None:
         return
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without data
-        image = np.nan_to_num(np.nanmedian(series.flux[pixels.usable], axis=0))
+    image = np.nan_to_num(typical_image(series.flux[pixels.usable]))
     inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
     if inside < whole / 2:
         part = 100 * max(inside / whole, 0)
@@ -337,8 +338,7 @@ def _compare_pipeline(series, pixels):
 def warn_of_pipeline(series, pixels, flux, share):
     """Warn if a corrected flux has more noise than the raw sum over the pipeline's aperture.
 
-    The ``share`` is the part of the light in the aperture that was not taken off; pixels of other
-    stars do not count.
+    The ``share`` is the part of the light in the aperture that was not taken off.
     """
     other, good = _other_aperture(series, pixels), np.isfinite(flux)
     if other is None:
@@ -398,7 +398,7 @@ def _filled_errors(total, total_err, usable):
         _warn(f"{bad.sum()} cadences without a valid FLUX_ERR get the median error of the others")
     else:
         value = scatter(total[usable])
-        _warn(UNKNOWN_NOISE)
+        _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
     return np.where(good, total_err, value)
 
 
@@ -406,9 +406,8 @@ def credible_flux(flux, flux_err, total, outliers):
     """Return a corrected flux that is finite or NaN, and its errors.
 
     Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
-    them can be anything. Such cadences get the typical correction, and an error as large as their
-    flux. ``total`` is the flux before, NaN where it cannot be used; ``outliers`` were left out of
-    the fit.
+    them can be anything: such cadences get the typical correction, and an error as large as their
+    flux. ``total`` is the flux before, NaN where it cannot be used.
     """
     usable = np.isfinite(total)
     with np.errstate(all="ignore"):
@@ -430,7 +429,7 @@ def credible_flux(flux, flux_err, total, outliers):
 def noise_ratios(raw, corrected):
     """Return the relative noise of 6.5 h over that of the raw flux, in both conventions.
 
-    In shorter series it is that of a quarter of them; without light above the noise it is infinite.
+    In short series it is that of a quarter; without light above the noise it is infinite.
     """
     both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
     curves = raw[both], corrected[both]

@@ -5,12 +5,12 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 import pytest
 
-from scope_models.correctors import _design
-from scope_models.correctors._design import (
-    DesignOptions,
+from scope_models.correctors import _model
+from scope_models.correctors._model import (
+    PLDModel,
     Regressors,
+    Settings,
     contrast_columns,
-    make_regressors,
     power_columns,
     principal_columns,
     shared_columns,
@@ -42,7 +42,7 @@ def test_pivots_of_some_cadences_are_enough(monkeypatch):
     fractions = np.exp(-0.5 * (place[:, None] - np.arange(-2, 3)) ** 2)
     fractions /= fractions.sum(axis=1)[:, None]
     use = np.arange(3000) % 3 > 0
-    monkeypatch.setattr(_design, "_CANDIDATES", 300)
+    monkeypatch.setattr(_model, "_CANDIDATES", 300)
     columns = power_columns(fractions, 2, use, 1e-12, 80)
     left = np.sum(fractions**2, axis=1) ** 2 - np.sum(columns**2, axis=1)
     assert columns.shape == (3000, len(columns.T))
@@ -112,7 +112,8 @@ def test_segments_and_extra_groups(fractions):
     extra[5] = np.nan
     pixels = make_pixels(flux, 0.01 * flux, np.full(80, 100.0), np.full(80, 1e-3))
     use = np.arange(80) % 7 > 0
-    found = make_regressors(pixels, use, DesignOptions(1, None, (30.5,), {"extra": extra}))
+    model = PLDModel(pixels, Settings(order=1), None, None, None, (30.5,), {"extra": extra})
+    found = model.regressors(use)
     assert found.names == ("order 1", "segments", "extra")
     np.testing.assert_array_equal(np.bincount(found.groups), [4, 4, 2])
     sign = np.where(np.arange(80) < 31, 1, -1)[:, None]
@@ -138,6 +139,7 @@ def test_shared_products_of_measured_fractions_are_a_group(fractions, predicted,
     """They follow the width; those of predicted ones have the prior of all products."""
     error = np.full((80, 1, 5), 1e-3)
     pixels = make_pixels(fractions.reshape(80, 1, 5), error, np.ones(80), np.full(80, 1e-4))
-    options = DesignOptions(2, predicted=predicted)
-    found = make_regressors(pixels, np.ones(80, dtype=bool), options)
+    clean = object() if predicted else None
+    model = PLDModel(pixels, Settings(order=2), None, clean, None, (), {})
+    found = model.regressors(np.ones(80, dtype=bool))
     assert found.names == ("order 1", "order 2", *groups)

@@ -28,7 +28,7 @@ from scope_models.io import read_pixels
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
-from scope_models.pixelmodel._smoothing import Smoother
+from scope_models.pixelmodel._smooth import Smoother
 
 
 def replaced(tpf, **columns):

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from scope_models.effects._noise import bleed
-from scope_models.pixelmodel._columns import (
+from scope_models.pixelmodel._stamp import (
     find_row_centers,
     full_columns,
     rows_of_star,
