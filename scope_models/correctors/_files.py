@@ -37,8 +37,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
         Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a
         mapping with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks
         its transits; ``neighbors``, "find" or the file of a catalog with the columns ra and dec
-        (degrees), or x and y (pixels, without the target), has other stars whose light is taken
-        off.
+        (degrees), or x and y (pixels, without the target), are stars whose light is taken off.
 
     Returns
     -------
@@ -50,9 +49,8 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     OSError
         If a file cannot be read or written, or exists and is not to be replaced.
     ValueError
-        If a file that is written would be ``path`` itself, also through a link, the figure has a
-        format that cannot be drawn, ``path`` is not a target pixel file, or the
-        correction refuses its pixels.
+        If a file that is written would be ``path`` itself, also through a link, the figure's format
+        cannot be drawn, ``path`` is not a target pixel file, or the correction refuses its pixels.
 
     Examples
     --------
@@ -103,11 +101,7 @@ def correct_file(path, transits=None, aperture_mask=None, neighbors=None, **opti
 
 
 def make_lightcurve_hdulist(corrector, *, survival=False):
-    """Make the FITS file of a corrected light curve.
-
-    It has the measured flux, the systematics' masks and the result's numbers too, and the cards of
-    the target pixel file that stay true; ``survival`` is that of `detrend_file`.
-    """
+    """Make the FITS file of a corrected light curve; ``survival`` is that of `detrend_file`."""
     given = {"aperture": corrector.aperture_mask, "cards": _cards(corrector, survival)}
     return make_light_curve_hdulist(corrector.tpf, _columns(corrector), **given)
 
@@ -139,23 +133,6 @@ def _held_out(corrector):
     ]
 
 
-def _states(corrector, series):
-    """Return background, fitted position and width; NaN where there is none."""
-    n = len(series)
-    states, model = np.full((3, n), np.nan), corrector.model
-    if model and model.clean:
-        states[:, model.source.pixels.usable] = *model.clean.position.T, model.clean.focus
-    background = np.full(n, np.nan)
-    if series.flux_bkg is not None:
-        background = np.nansum(series.flux_bkg[:, corrector.aperture_mask], axis=1)
-    return [
-        fits.Column("BKG_FLUX", "E", unit="e-/s", disp="E14.7", array=background),
-        fits.Column("POS_FIT1", "E", unit="pixel", disp="F10.5", array=states[0]),
-        fits.Column("POS_FIT2", "E", unit="pixel", disp="F10.5", array=states[1]),
-        fits.Column("WIDTH", "E", disp="E14.7", array=states[2]),
-    ]
-
-
 def written(lc):
     """Return a light curve with the flux that a file holds, of 32 bits."""
     return type(lc)(time=lc.time, flux=lc.flux.astype(np.float32))
@@ -164,8 +141,17 @@ def written(lc):
 def _columns(corrector):
     """Return the columns of the light curve."""
     lc, original = corrector.corrected_lc, corrector.original_lc
-    series = read_pixels(corrector.tpf)
+    series, model = read_pixels(corrector.tpf), corrector.model
     quality = np.asarray(lc["quality"], dtype=np.int32)
+    # NaN where there is none
+    background, *states = np.full((4, len(series)), np.nan)
+    if model and model.clean:
+        for values, fitted in zip(
+            states, (*model.clean.position.T, model.clean.focus), strict=True
+        ):
+            values[model.source.pixels.usable] = fitted
+    if series.flux_bkg is not None:
+        background = np.nansum(series.flux_bkg[:, corrector.aperture_mask], axis=1)
     if series.mission is None:
         raise ValueError("`tpf` names no known mission in MISSION or TELESCOP")
     flux = {"unit": "e-/s", "disp": "E14.7"}
@@ -182,7 +168,10 @@ def _columns(corrector):
         fits.Column("RAW_FLUX_ERR", "E", array=original.flux_err.value, **flux),
         fits.Column("IN_FIT", "L", array=corrector.cadence_mask & ~corrector.outlier_mask),
         fits.Column("OUTLIER", "L", array=corrector.outlier_mask),
-        *_states(corrector, series),
+        fits.Column("BKG_FLUX", "E", array=background, **flux),
+        fits.Column("POS_FIT1", "E", array=states[0], **place),
+        fits.Column("POS_FIT2", "E", array=states[1], **place),
+        fits.Column("WIDTH", "E", disp="E14.7", array=states[2]),
     ]
 
 

@@ -1,41 +1,53 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from numbers import Real
+from os import PathLike
 
 import numpy as np
 from astropy import units as u
+from scipy.linalg import helmert, solve_triangular
 
-from scope_models._arrays import plain_number, plain_time
-from scope_models._checks import check_fields, checked_choice, checked_mask, integer, number
+from scope_models._arrays import plain_array, plain_number, plain_time
+from scope_models._checks import check_fields, checked_choice, integer, number
 from scope_models._values import Value, frozen
-from scope_models.correctors._design import (
-    DesignOptions,
-    background_columns,
-    focus_columns,
-    level_column,
-    make_regressors,
-    misfit_columns,
-    other_columns,
-    outside_column,
-)
-from scope_models.correctors._features import Regressors
-from scope_models.correctors._fractions import can_predict, with_predicted_fractions
-from scope_models.correctors._injection import Source, transit_column
-from scope_models.correctors._lightkurve import external_columns, sorted_regressors
-from scope_models.correctors._pixels import Pixels
+from scope_models.correctors._light import Source, transit_column
+from scope_models.correctors._pixels import Pixels, aperture_pixels, at_rows, typical_image
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel._star import StarModel
+from scope_models.io import read_pixels
+from scope_models.pixelmodel._smooth import Smoother, pivoted_cholesky, quantile
+from scope_models.pixelmodel._stamp import (
+    find_row_centers,
+    full_columns,
+    rows_of_star,
+    without_saturation,
+)
+from scope_models.pixelmodel._star import IMAGE_ERROR, StarModel, fit_star
 
-__all__ = ["PLDModel", "PLDOptions", "Settings"]
+__all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict"]
 
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("predicted", "measured")
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
+#: Tolerance: columns are dropped when coefficients of one could not change chi-squared by this, or
+#: those of 30, which real stars have, by about one; and their largest number.
+_TOLERANCE, _MAX_RANK = 1e-3, 300
+#: Prior: products with pixels so far apart have common coefficients (px); number of components of
+#: files of other stars.
+_REACH = 2
+_OTHER_COMPONENTS = 10
+#: Prior: relative change of the PSF's width that is the unit of the focus.
+_FOCUS_UNIT = 2e-3
+#: Tolerance: largest number of cadences of which the pivots of a factor are chosen.
+_CANDIDATES = 4000
+#: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
+#: background.
+_STATES = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,9 +64,8 @@ class PLDOptions(Value):
         variance of its own, which vanishes if nothing changes.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
-        known. A full pixel stays full when the star dims, so that its share of the light would
-        reveal to the model a transit: a column with such pixels counts as one pixel, its sum,
-        and the default aperture has it whole. None: all pixels count.
+        known. A full pixel stays full when the star dims: a column with such pixels counts as one
+        pixel, its sum, and the default aperture has it whole. None: all pixels count.
     background : int, optional
         Number of principal components of the pixels outside of the aperture, if these are
         regressors.
@@ -154,73 +165,65 @@ def _checked_saturation(saturation):
     return value
 
 
+@dataclass(frozen=True)
+class Regressors:
+    """Columns that share a prior variance within each named group."""
+
+    columns: np.ndarray  # (n_cadences, n_columns)
+    groups: np.ndarray  # group of each column, an index into ``names``
+    names: tuple
+
+    @classmethod
+    def join(cls, parts):
+        """Join groups, from names to columns ``(n_cadences, m)``, without the empty ones."""
+        sizes = np.array([columns.shape[1] for columns in parts.values()])
+        names = tuple(name for name, size in zip(parts, sizes, strict=True) if size)
+        groups = np.repeat(np.arange(len(names)), sizes[sizes > 0])
+        return cls(np.concatenate(list(parts.values()), axis=1), groups, names)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PLDModel:
     r"""The linear model of the logarithm of a star's flux.
 
     `PLDCorrector` makes one for each call of ``correct``. The equation is on the page
-    :doc:`/explanation/pld`. Of the options, ``design`` has those of the design matrix, with what
-    has been found in the file; ``clean`` is what was found about the pixels if the fractions are
+    :doc:`/explanation/pld`. ``clean`` is what was found about the pixels if the fractions are
     predicted ones, ``source`` the pixels as measured, into which `PLDFit.survival` puts dimmings.
     """
 
     pixels: Pixels
-    options: PLDOptions
-    design: DesignOptions
-    clean: StarModel | None = None
-    source: Source | None = None
+    options: Settings
+    source: Source
+    clean: StarModel | None
+    saturation: float | None  # flux of a full pixel among measured ones, e-/s
+    breaks: tuple  # times at which a new segment begins
+    extra: dict  # further groups: columns by name, NaN where unknown
 
     @classmethod
-    def from_pixels(cls, pixels, options, series, cadence_mask=None):
-        """Make the model of pixels of a `PixelSeries`.
-
-        Images and components are learned from the cadences of ``cadence_mask``, by default all.
-        """
-        extra, source = {}, Source(pixels, series, cadence_mask)
-        use = pixels.usable & pixels.lit
-        if cadence_mask is not None:
-            use = use & cadence_mask
+    def from_pixels(cls, pixels, options, series, cadence_mask):
+        """Make the model of pixels of a `PixelSeries`, learned from the cadences of a mask."""
+        source = Source(pixels, series, cadence_mask)
+        use = pixels.usable & pixels.lit & cadence_mask
         _check_enough(use)
-        background, others, columns = sorted_regressors(options.regressors)
-        outside = options.background_aperture_mask
-        if outside is not None:
-            outside = checked_mask("background_aperture_mask", outside, pixels.aperture.shape)
-            background = True
-        if background:
-            extra["background"] = background_columns(pixels, options.background, outside, use)
-        regressor_mask = options.pld_aperture_mask
-        if regressor_mask is not None:
-            shape = pixels.aperture.shape
-            regressor_mask = checked_mask("pld_aperture_mask", regressor_mask, shape)
-        if others:
-            extra["other_targets"] = other_columns(series.cadenceno, others)
-        if columns:
-            extra["regressors"] = external_columns(columns, series.cadenceno)
+        extra = given_columns(pixels, options, series.cadenceno, use)
         saturation = options.full_flux(series)
-        if pixels.weights is None and pixels.loses_charge(use & pixels.usable, saturation):
+        if pixels.weights is None and pixels.loses_charge(use, saturation):
             message = "charge of full pixels bleeds out of `aperture_mask`: give it whole columns"
             warnings.warn(message, DetrendingWarning, stacklevel=5)
         clean = None
-        plain = options.fractions != "measured" and regressor_mask is None and not background
-        if plain and can_predict(pixels, saturation, use):
+        measured = options.fractions == "measured" or options.pld_aperture_mask is not None
+        if not measured and "background" not in extra and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, saturation)
-            if clean:
-                extra["focus"] = focus_columns(clean, pixels.usable, use)
-                extra["aperture"] = outside_column(clean, pixels.usable)
-                share = source.share[*clean.grid.T[::-1]]
-                extra["misfit"] = misfit_columns(clean, share, pixels.usable)
-                pixels, saturation = predicted, None
-        if clean is None:
+        if clean is not None:
+            extra |= clean_columns(clean, source.share, pixels.usable, use)
+            pixels, saturation = predicted, None
+        else:
             if "background" not in extra:
                 extra["level"] = level_column(pixels, use)
             pixels = pixels.weighted
         time = pixels.time[use & pixels.usable]
         breaks = tuple(b for b in options.segments if time[0] < b <= time[-1])
-        most, predicted = options.pca_components or None, clean is not None
-        design = DesignOptions(
-            options.order, saturation, breaks, extra, most, regressor_mask, predicted
-        )
-        return cls(pixels, options, design, clean, source)
+        return cls(pixels, options, source, clean, saturation, breaks, extra)
 
     def __repr__(self):
         return (
@@ -228,41 +231,63 @@ class PLDModel:
             f"{self.pixels.aperture.sum()} pixels>"
         )
 
-    def design_matrix(self, cadence_mask=None):
+    def regressors(self, use):
+        """Return the `Regressors` of the usable cadences, centered on those in use."""
+        pixels, options, usable = self.pixels, self.options, self.pixels.usable
+        total, most = pixels.total[usable], options.pca_components or None
+        mask = pixels.aperture if options.pld_aperture_mask is None else options.pld_aperture_mask
+        images = np.where(mask, np.nan_to_num(pixels.flux[usable]), 0.0)
+        full = full_columns(images, use, self.saturation)
+        if full.any():
+            centers = find_row_centers(images, mask, use, self.saturation)
+            images = without_saturation(images, full, centers, mask)
+        images /= total[:, None, None]
+        fractions = images[:, mask]
+        noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
+        least = _TOLERANCE * noise / use.sum()
+        first = principal_columns(fractions, use, least)[:, :most]
+        parts = {"order 1": first}
+        for n in range(2, options.order + 1):
+            groups = {f"order {n}": power_columns(fractions, n, use, least, _MAX_RANK)}
+            if n == 2:
+                groups["shared"] = shared_columns(images, _REACH)
+                if self.clean is not None:  # responses within pixels have much in common
+                    groups = {"order 2": np.concatenate([*groups.values()], axis=1)}
+            for name, products in groups.items():
+                parts[name] = principal_columns(products, use, least)[:, :most]
+        if self.breaks:
+            parts["segments"] = contrast_columns(first, pixels.time[usable], self.breaks, use)
+        for name, columns in self.extra.items():
+            parts[name] = principal_columns(columns[usable], use, least)
+        return Regressors.join(parts)
+
+    def design_matrix(self, cadence_mask):
         """Return the `Regressors`, NaN in cadences that cannot be used.
 
-        Means and principal components are those of the cadences of the mask, by default all.
+        Means and principal components are those of the cadences of the mask.
         """
         usable = self.pixels.usable
-        use = usable if cadence_mask is None else usable & cadence_mask
-        found = make_regressors(self.pixels, use[usable], self.design)
-        columns = np.full((len(usable), found.columns.shape[1]), np.nan)
-        columns[usable] = found.columns
-        return Regressors(columns, found.groups, found.names)
+        found = self.regressors(cadence_mask[usable])
+        return replace(found, columns=at_rows(found.columns, usable))
 
-    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
+    def fit(self, cadence_mask, transit_mask, transit_model=None):
         """Fit the model to cadences that may be used and are not in transit; return a `PLDFit`.
 
-        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. A ValueError is
-        raised if no regressor varies, fewer than 30 cadences are left, or the covariance is
-        singular.
+        The amplitude of the relative flux of a ``transit_model`` is fitted jointly.
         """
-        pixels, n = self.pixels, len(self.pixels.time)
-        usable = pixels.usable
-        mask = np.ones(n, dtype=bool) if cadence_mask is None else cadence_mask
-        mask = mask & pixels.lit
-        in_transit = np.zeros(n, dtype=bool) if transit_mask is None else transit_mask
-        column = np.empty((n, 0))
+        pixels, usable = self.pixels, self.pixels.usable
+        mask = cadence_mask & pixels.lit & ~transit_mask
+        column = np.empty((len(usable), 0))
         if transit_model is not None:
             column = transit_column(transit_model, pixels.time)
-        allowed = (mask & ~in_transit)[usable]
+        allowed = mask[usable]
         _check_enough(allowed)
         total = pixels.total[usable]
         y = np.log(total / np.median(total[allowed]))
         variance = (pixels.total_err[usable] / total) ** 2
         try:
             solution = fit(
-                lambda use: make_regressors(pixels, use, self.design),
+                self.regressors,
                 pixels.time[usable],
                 y,
                 variance,
@@ -283,9 +308,7 @@ class PLDModel:
                 "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
                 "`cadence_mask`"
             )
-        if not column.size:
-            transit_model = None
-        return PLDFit(self, solution, mask & ~in_transit, in_transit, transit_model)
+        return PLDFit(self, solution, mask, transit_mask, transit_model if column.size else None)
 
 
 def _check_enough(use):
@@ -293,3 +316,280 @@ def _check_enough(use):
         raise ValueError(
             f"at least {_FEWEST_CADENCES} usable cadences of `tpf` are needed, got {use.sum()}"
         )
+
+
+def can_predict(pixels, saturation, use):
+    """Whether pixel fractions can be predicted, learned from the cadences in ``use``.
+
+    Not with few pixels, of which full columns are one each, without FLUX_ERR, nor for a moving
+    aperture over full columns.
+    """
+    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
+    full = pixels.full_columns(use, saturation)
+    seen = _seen(pixels)
+    n_pixels = (seen & full).any(axis=0).sum() + (seen & ~full).sum()
+    if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
+        return False
+    return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+
+
+def _seen(pixels):
+    """Return the pixels with data that may show the star."""
+    seen = np.zeros_like(pixels.aperture)
+    seen[pixels.near] = True
+    return seen & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+
+
+def with_predicted_fractions(pixels, pos_corr, learned, saturation):
+    """Return the star's light with predicted pixel fractions in place of the measured pixels.
+
+    Images are ``learned`` from some cadences. The ``total`` of the returned pixels is the light
+    without background, their ``flux`` the predicted fractions at constant focus times this. Second
+    comes the `StarModel`; None, with the pixels as they were, if it fails.
+    """
+    use = pixels.usable
+    full = pixels.full_columns(learned, saturation)
+    # others do not vary with this one
+    known = _seen(pixels) & (pixels.aperture | pixels.own & ~full)
+    rows, columns = np.nonzero(known)
+    if pos_corr is None:
+        pos_corr = np.full((len(use), 2), np.nan)
+    error = pixels.flux_err[use][:, known]
+    error = np.where(error > 0, error, np.nan)
+    typical = typical_image(error)
+    typical[np.isnan(typical)] = np.nanmedian(typical)
+    error = np.where(np.isnan(error), typical, error)
+    try:
+        with np.errstate(all="ignore"):  # of a model that fails
+            clean = fit_star(
+                pixels.time[use],
+                pixels.flux[use][:, known],
+                error,
+                pos_corr[use],
+                np.stack([columns, rows], axis=1),
+                pixels.aperture[known],
+                use=pixels.quiet(learned)[use],
+                banded=pixels.banded[use],
+                full=full[columns],
+            )
+    except (np.linalg.LinAlgError, ValueError):  # singular, or no number
+        clean = None
+    if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
+        message = (
+            "the model of the pixels fails, or the star has too many places for so few cadences: "
+            "measured fractions are taken"
+        )
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return pixels, None
+    light, light_error = clean.light, clean.light_error
+    if pixels.weights is not None:  # from the part that a moving aperture holds
+        weights = pixels.weights[use][:, known] * pixels.aperture[known]
+        held, measured = np.sum(weights * clean.shares, axis=1), pixels.flux[use][:, known]
+        predicted = clean.shares * light[:, None]
+        measured = np.where(clean.repaired, predicted, measured - clean.background)
+        light = np.sum(weights * measured, axis=1) / held
+        variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
+        light_error = np.sqrt(variance) / held
+    flux = np.zeros_like(pixels.flux)
+    cube = np.zeros((use.sum(), *known.shape))
+    cube[:, known] = clean.still * light[:, None]
+    if full.any():
+        inside, learned = pixels.aperture & known, learned[use]
+        centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
+        varies = clean.position, clean.variable, learned
+        cube = without_saturation(cube, full, rows_of_star(centers, *varies), inside)
+        if pixels.neighbors is not None:  # what is left of their light follows the star
+            weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
+            clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
+    flux[use] = cube
+    total, total_err = at_rows(light, use), at_rows(light_error, use)
+    usable = use & (np.nan_to_num(total) > 0)
+    return replace(pixels, flux=flux, total=total, total_err=total_err, usable=usable), clean
+
+
+def given_columns(pixels, options, cadenceno, use):
+    """Return groups of columns by name that a user wants, as `PLDCorrector.correct` takes them."""
+    given, groups = options.regressors, {}
+    several = isinstance(given, list | tuple) and not any(isinstance(one, Real) for one in given)
+    background, others, columns = options.background_aperture_mask is not None, [], []
+    for one in given if several else [given]:
+        if isinstance(one, str) and one == "background":
+            background = True
+        elif hasattr(one, "flux") or isinstance(one, (str, PathLike)):
+            others.append(_fractions_of(one, cadenceno))
+        else:
+            columns.append(_columns_of(one, cadenceno))
+    if background:
+        groups["background"] = _background_columns(pixels, options, use)
+    if others:
+        groups["other_targets"] = np.concatenate(others, axis=1)
+    if columns:
+        columns = np.concatenate(columns, axis=1)
+        spread = np.nanstd(columns, axis=0)
+        groups["regressors"] = columns[:, spread > 0] / spread[spread > 0]
+    return groups
+
+
+def _background_columns(pixels, options, use):
+    """Return the principal components of pixels over the flux, by default all outside."""
+    usable, outside = pixels.usable, options.background_aperture_mask
+    outside = ~pixels.aperture if outside is None else outside
+    outside = outside & np.isfinite(pixels.flux[usable]).all(axis=0)
+    if not outside.any():
+        raise ValueError("the background needs pixels with data outside of `aperture_mask`")
+    relative = pixels.flux[usable][:, outside] / pixels.total[usable, None]
+    found = principal_columns(relative, use[usable], 0.0)
+    return at_rows(found[:, : options.background], usable)
+
+
+def _fractions_of(source, cadenceno):
+    """Return the first principal components of the pixel fractions of a file of another star."""
+    series = read_pixels(source)
+    pixels = aperture_pixels(series, None)
+    usable = pixels.usable & pixels.lit
+    relative = pixels.flux[usable][:, pixels.aperture] / pixels.total[usable, None]
+    columns = principal_columns(relative, np.ones(len(relative), dtype=bool), 0.0)
+    columns = columns[:, :_OTHER_COMPONENTS]
+    return _matched(columns, series.cadenceno[usable], cadenceno, "files in `regressors`")
+
+
+def _columns_of(regressor, cadenceno):
+    """Return columns of a user's own, NaN where they are unknown.
+
+    Basis vectors are matched by cadence numbers; all else must have a row per cadence.
+    """
+    if hasattr(regressor, "cbv_indices"):
+        vectors = [regressor[f"VECTOR_{k}"] for k in regressor.cbv_indices]
+        vectors = np.stack([plain_array(one, "", "regressors") for one in vectors], axis=1)
+        vectors[np.asarray(regressor["GAP"], dtype=bool)] = np.nan
+        return _matched(vectors, np.asarray(regressor["CADENCENO"]), cadenceno, "`regressors`")
+    values = regressor.values if hasattr(regressor, "prior_sigma") else regressor
+    columns = plain_array(values, "", "regressors")
+    columns = columns[:, None] if columns.ndim == 1 else columns
+    if columns.ndim != 2 or len(columns) != len(cadenceno):
+        raise ValueError(f"`regressors` must have {len(cadenceno)} rows, got shape {columns.shape}")
+    return columns
+
+
+def _matched(columns, number, cadenceno, name):
+    """Return columns with a row per cadence, by cadence numbers; NaN where there is none."""
+    _, here, there = np.intersect1d(cadenceno, number, return_indices=True)
+    if not len(here):
+        raise ValueError(f"{name} must share cadences with the target, got none")
+    matched = np.full((len(cadenceno), columns.shape[1]), np.nan)
+    matched[here] = columns[there]
+    return matched
+
+
+def clean_columns(clean, share, usable, use):
+    """Return groups of columns from a `StarModel`.
+
+    Where the star's ``share`` of the light, ``(ny, nx)``, differs from pixel to pixel, the misfit
+    follows a star that dims, by the difference of its image and that of all light, and with
+    coefficients of about one the flux does. Units make this no more than an image's error.
+    """
+    size = np.maximum([part[use[usable]].std(axis=0) for part in clean.position.T], 1e-12)
+    # in units of its size, a focus that hardly changes would explain the star's variability
+    focus = clean.focus[:, None] / _FOCUS_UNIT
+    image, share = clean.still.mean(axis=0), share[*clean.grid.T[::-1]]
+    change = np.linalg.norm(image * share / (image @ share) - image)
+    # beyond predictions; weights of least squares follow a star that moves
+    misfit = np.column_stack([clean.misfit, clean.level, clean.weighted])
+    groups = {
+        "focus": np.concatenate([focus, focus * clean.position / size], axis=1),
+        "aperture": -np.log(np.maximum(1 + clean.outside, 0.1))[:, None],
+        "misfit": misfit * IMAGE_ERROR / np.hypot(IMAGE_ERROR, change),
+    }
+    return {name: at_rows(columns, usable) for name, columns in groups.items()}
+
+
+def level_column(pixels, use):
+    """Return the light of a background that changes, over the flux, of the aperture.
+
+    Its level is the median of the pixels outside that the star lights least, without what follows
+    the flux.
+    """
+    usable, flux, fit = pixels.usable, pixels.flux[pixels.usable], use[pixels.usable]
+    outside = ~pixels.aperture & np.isfinite(flux).all(axis=0)
+    column = np.zeros((len(usable), 1))
+    if outside.any():
+        relative = pixels.total[usable] / np.median(pixels.total[usable][fit])
+        light = flux[:, outside]
+        most = quantile(light[fit].T, 0.98)
+        dark = light[:, most <= np.median(most)]
+        level = np.median(dark - np.median(dark[fit], axis=0) * relative[:, None], axis=1)
+        level, _ = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))
+        inside = np.broadcast_to(pixels.inside, pixels.flux.shape)[usable].sum(axis=(1, 2))
+        column[usable, 0] = level * inside / pixels.total[usable]
+    return column
+
+
+def principal_columns(columns, use, tolerance):
+    """Rotate columns to principal components, and drop those that are too small to matter.
+
+    The rotation is orthogonal: a common prior variance means the same before and after. The
+    cadences in ``use`` define means and components; those whose mean square is below ``tolerance``
+    go. A gap is filled with the mean.
+    """
+    known = np.isfinite(columns).all(axis=1)
+    use = use & known
+    if not use.any():
+        return np.empty((len(columns), 0))
+    columns = np.where(known[:, None], columns - columns[use].mean(axis=0), 0.0)
+    values, vectors = np.linalg.eigh(columns[use].T @ columns[use] / use.sum())
+    keep = values > max(tolerance, 1e-14 * values[-1])
+    return columns @ vectors[:, keep][:, ::-1]
+
+
+def power_columns(fractions, order, use, tolerance, max_rank):
+    r"""Return all products of ``order`` fractions ``(n_cadences, n_pixels)``, as few columns.
+
+    The products, each weighted with the square root of its number of orderings, span the kernel
+    :math:`(p_i \cdot p_j)^n`. A pivoted Cholesky factor of that kernel gives the same regression
+    without forming them. Cadences in ``use`` may become pivots. The factor ends at ``max_rank``
+    columns, or when the mean of what is left of the kernel's diagonal is below ``tolerance``.
+    """
+    points = fractions[use]
+    points = points[:: -(-len(points) // _CANDIDATES)]
+    diagonal = np.einsum("ij,ij->i", points, points) ** order
+    precision = len(points) * np.finfo(float).eps * diagonal.max()
+
+    def ends(rest):
+        return rest.mean() < tolerance or rest.max() <= precision
+
+    def column(k):
+        return (points @ points[k]) ** order
+
+    pivots, rows = pivoted_cholesky(diagonal, column, ends, min(max_rank, len(points)))
+    kernel = (points[pivots] @ fractions.T) ** order
+    factor = rows[:, pivots].T
+    return solve_triangular(factor, kernel, lower=True, overwrite_b=True, check_finite=False).T
+
+
+def shared_columns(images, reach):
+    r"""Return products of two fractions, summed over all pixels.
+
+    When all pixels have the same intra-pixel response, products with the same offset have the same
+    coefficient: only the sums :math:`\sum_l p_l p_{l+d}` count, for all offsets :math:`d` up to
+    ``reach`` pixels along either axis. The ``images`` are zero outside of the aperture.
+    """
+    ny, nx = images.shape[1:]
+    padded = np.pad(images, ((0, 0), (0, reach), (reach, reach)))
+    columns = []
+    for dy in range(reach + 1):
+        for dx in range(-reach if dy else 0, reach + 1):
+            shifted = padded[:, dy : dy + ny, reach + dx : reach + dx + nx]
+            columns.append(np.einsum("ijk,ijk->i", images, shifted))
+    return np.stack(columns, axis=1)
+
+
+def contrast_columns(columns, time, breaks, use):
+    """Return copies of the columns that differ between the segments and are the same in none.
+
+    Of k segments, k - 1 orthonormal contrasts remain.
+    """
+    segment = np.searchsorted(np.asarray(breaks), time, side="right")
+    present = np.unique(segment[use])
+    member = (segment[:, None] == present).astype(float)
+    contrasts = member @ helmert(len(present)).T
+    return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)

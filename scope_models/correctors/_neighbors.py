@@ -8,19 +8,20 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._crowd import PLACE, WIDTH, Crowd, CrowdPixels, learn, track
+from scope_models.correctors._light import NEAREST, SHARE_ERROR, center_of_light, stars_of
 from scope_models.correctors._pixels import at_one_place, typical_image, without_background
-from scope_models.correctors._saturation import without_saturation
-from scope_models.correctors._stars import NEAREST, SHARE_ERROR, center_of_light, stars_of
 from scope_models.exceptions import DetrendingWarning
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.fitting._start import make_prf
 from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
-from scope_models.pixelmodel._columns import Columns
-from scope_models.pixelmodel._position import nearness, polynomials
-from scope_models.pixelmodel._stamp import POSITION_PRIOR
+from scope_models.models import PRF
+from scope_models.pixelmodel._smooth import BLOCK, CLIP, nearness, polynomials
+from scope_models.pixelmodel._stamp import POSITION_PRIOR, Columns, without_saturation
 
-__all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
+__all__ = [
+    "WIDTH", "Crowd", "CrowdPixels", "NeighborLight", "given_neighbors", "learn",
+    "light_of_neighbors", "track", "without_neighbors",
+]  # fmt: skip
 
 #: Branch: given neighbors closer to the target (px) are the target, and those farther outside of
 #: the pixels have no light in them.
@@ -32,32 +33,33 @@ _VARIES = 0.02 * 0.05
 _SEEN, _PARTS = 3.0, 10
 #: Tolerance: cadences that show the PRF.
 _FEW = 100
+#: Prior: standard deviation of the PRF about the first guess, in units of that made so many times
+#: as broad. Official PRFs of TESS (camera 2, CCD 3) differ from sums of Gaussians by three times as
+#: much or less: 0.1 of the peak in the core, 0.03 at 2.5 px and 0.001 at 5 px.
+_PRF, _BROAD = 0.03, 2.0
+#: Prior: width and places (px) of the Gaussians. The process has sqrt(2) times this scale, for
+#: those PRFs are correlated by 0.93 over 0.5 px and by 0.7 over 1 px.
+_SIGMA, _CENTERS = 0.5**0.5, np.arange(-4, 4.5, 0.5)
+#: Prior: standard deviations of gains, and of a neighbor's flux (relative) and a place (px) about
+#: the first guess; and of relative widths.
+_GAIN, _FLUX, _PLACE, WIDTH = 0.015, 0.3, 0.3, 0.01
+#: Tolerance: number of steps; a sixth one changes shares of the light by 1e-4.
+_STEPS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class NeighborLight:
-    """Other stars of a stamp.
+    """Other stars of a stamp."""
 
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        Flux (e-/s), column and row in the stamp (px) of each, ``flux, x, y``.
-    light : ndarray
-        Their light in each pixel, e-/s, ``(n_cadences, ny, nx)``.
-    positions : ndarray
-        Column and row of the target in the stamp, ``(n_cadences, 2)``, px; NaN where unknown.
-    """
-
-    table: QTable
-    light: np.ndarray
-    positions: np.ndarray
+    table: QTable  # flux (e-/s), column and row in the stamp (px) of each, ``flux, x, y``
+    light: np.ndarray  # in each pixel, e-/s, (n_cadences, ny, nx)
+    positions: np.ndarray  # column and row of the target, (n_cadences, 2), px; NaN where unknown
 
 
 def without_neighbors(pixels, series, found):
     """Return pixels and file without the light of other stars; with positions if it has none."""
     flux = pixels.flux - found.light
-    inside = pixels.aperture if pixels.weights is None else pixels.weights
-    light = np.sum(found.light * inside, axis=(1, 2))
+    light = np.sum(found.light * pixels.inside, axis=(1, 2))
     total = pixels.total - light
     usable = pixels.usable & (np.nan_to_num(total) > 0)
     lit = pixels.lit & usable & (np.nan_to_num(total) > SHARE_ERROR * light)
@@ -75,7 +77,7 @@ def without_neighbors(pixels, series, found):
 def given_neighbors(neighbors, series, pixels):
     """Return "find", or the places of a user's neighbors: a file, or as `star_places` takes them.
 
-    Those on the sky are as far from the target in the pixels as the coordinates place them.
+    Those on the sky are as far from the target in the pixels as by the coordinates.
     """
     if isinstance(neighbors, str | PathLike):
         if neighbors == "find":
@@ -101,33 +103,14 @@ def given_neighbors(neighbors, series, pixels):
     return places[~far]
 
 
-def light_of_neighbors(pixels, series, cadence_mask, neighbors=None, saturation=None):
+def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
     """Fit a PSF at the places of the target and its neighbors to the pixels near it.
 
-    Parameters
-    ----------
-    pixels : Pixels
-        Pixels and aperture.
-    series : PixelSeries
-        Their file.
-    cadence_mask : ndarray of bool
-        Cadences from which the stars' image and places are learned.
-    neighbors : ndarray or "find", optional
-        Columns and rows of other stars, ``(k, 2)``. None: those with peaks of their own are found,
-        and those whose light does not follow the star's, for the bumps of a PRF look like neighbors
-        of up to 20 % of a star's light (official PRFs of TESS, camera 2, CCD 3); "find": all.
-    saturation : float, optional
-        Flux of a full pixel, e-/s. Where charge bleeds, only the sum along a column is the stars'.
-
-    Returns
-    -------
-    NeighborLight or None
-        None if there are none.
-
-    Raises
-    ------
-    ValueError
-        If given neighbors do not describe the pixels of the file.
+    It is learned from the cadences of a mask. Neighbors are columns and rows, ``(k, 2)``, or None:
+    those with peaks of their own are found, and those whose light does not follow the star's, for
+    the bumps of a PRF look like neighbors of up to 20 % of a star's light (official PRFs of TESS,
+    camera 2, CCD 3); "find": all. Where charge bleeds, only the sum along a column is the stars'.
+    Return a `NeighborLight`, or None.
     """
     given, usable = not isinstance(neighbors, str | None), pixels.usable
     use = pixels.quiet(cadence_mask & pixels.lit & usable)
@@ -149,7 +132,6 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None, saturation=
     image = typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
     image = np.nan_to_num(image)
     box = pixels.near
-    corner = np.array([box[1].start, box[0].start])
     far = np.ones(image.shape, dtype=bool)
     far[box] = False
     flux[:, far], image[far] = np.nan, 0.0
@@ -160,11 +142,11 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None, saturation=
         else:
             stars = _found(image, pixels, everywhere)
         series = series.replace(flux=flux, flux_err=pixels.flux_err, pos_corr=pos_corr)
-        fit = _first_fit(series[few], stars, given=given)
-        if fit is None:
-            return None
-        data = _with_priors(fit, series, pos_corr, few, box)
-        crowd = learn(_first_crowd(fit, data), data[few])
+        fit, places, fluxes = _first_fit(series[few], stars, given=given)
+        data = _with_priors(fit, series, few, box)
+        fluxes = np.maximum(fluxes[1:], 1e-4 * fluxes[0])
+        first = Crowd.first(fit.model, data.flux.shape[1:], fluxes, places[1:] - places[0])
+        crowd = learn(first, data[few])
         states, others = track(crowd, data[usable])
     except (ValueError, np.linalg.LinAlgError):
         if not given:
@@ -172,8 +154,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None, saturation=
         message = "the target and the given `neighbors` do not describe the pixels"
         raise ValueError(message) from None
     light, positions = np.zeros(flux.shape), np.full((len(flux), 2), np.nan)
-    light[np.ix_(usable, ~far.all(axis=1), ~far.all(axis=0))] = others
-    positions[usable] = corner + states[:, 1:3]
+    light[usable, *box] = others
+    positions[usable] = states[:, 1:3] + [box[1].start, box[0].start]
     if neighbors is None and pixels.own.all():  # what is taken off must be the light that was seen
         left = _constant_light(inside - columns.summed(light[usable][:, pixels.aperture]), known)
         if np.sum(left**2) > np.sum(constant**2):
@@ -193,14 +175,7 @@ def _drawn(flux, bled):
     return np.where(bled, without_saturation(light, bled.any(axis=0), centers, bled), flux)
 
 
-def _first_crowd(fit, pixels):
-    """Return the stars as a fit of Gaussians has them."""
-    places = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
-    fluxes = np.maximum([star.flux[0] for star in fit.neighbors], 1e-4 * np.median(fit.flux))
-    return Crowd.first(fit.model, pixels.flux.shape[1:], fluxes, places[1:] - places[0])
-
-
-def _with_priors(fit, series, pos_corr, few, box):
+def _with_priors(fit, series, few, box):
     """Return the pixels of a box, with what a fit to a few cadences expects of all.
 
     Positions follow POS_CORR, or else centers of light.
@@ -208,8 +183,8 @@ def _with_priors(fit, series, pos_corr, few, box):
     flux, error = series.flux[:, *box], series.flux_err[:, *box]
     good = np.isfinite(flux) & (error > 0)
     flux, error = np.where(good, flux, 0.0), np.where(good, error, np.inf)
-    offset = pos_corr
-    if pos_corr is None:
+    offset = series.pos_corr
+    if offset is None:
         light = np.maximum(flux, 0.0)
         total = np.maximum(light.sum(axis=(1, 2)), 1e-300)
         sums = (light.sum(axis=axis) @ np.arange(light.shape[3 - axis]) for axis in (1, 2))
@@ -222,16 +197,13 @@ def _with_priors(fit, series, pos_corr, few, box):
     expected = np.zeros((len(flux), 5))
     expected[:, 0] = typical
     expected[:, 1:3] = columns @ np.linalg.lstsq(columns[seen], places, rcond=None)[0]
-    place = PLACE if pos_corr is None else POSITION_PRIOR
+    place = _PLACE if series.pos_corr is None else POSITION_PRIOR
     sigma = np.broadcast_to([typical, place, place, WIDTH, typical], expected.shape)
     return CrowdPixels(flux, error, expected, sigma)
 
 
 def _found(image, pixels, everywhere):
-    """Return the places of the stars in an image, the target first, ``(k, 2)``.
-
-    That is the star at the file's coordinates.
-    """
+    """Return the places of stars in an image, first that at the file's coordinates, ``(k, 2)``."""
     stars = stars_of(image, pixels.core, everywhere | ~pixels.own)
     if pixels.place is not None:
         columns, rows = np.rint(stars).astype(int).T
@@ -242,7 +214,7 @@ def _found(image, pixels, everywhere):
 
 
 def _first_fit(series, stars, *, given):
-    """Fit two Gaussians at the places of all stars; None if there is only one.
+    """Fit two Gaussians at the places of all stars; return the fit, places and fluxes.
 
     Neighbors that are not ``given`` and end up at another star or without light were bumps of the
     PSF. All but the first star are of constant flux.
@@ -261,16 +233,16 @@ def _first_fit(series, stars, *, given):
         kept = (np.hypot(*(places - places[0]).T) > NEAREST) & (fluxes > 0) | given
         kept[0] = True
         if kept.all():
-            return fit
+            return fit, places, fluxes
         stars = places[kept]
-    return None
+    raise ValueError("there is only one star")
 
 
 def _constant_light(light, pos_corr):
     """Return the constant light in pixels of an aperture, ``(n, m)``, over its error, ``(m,)``.
 
-    A star's pixels are its light times functions of position. Centroids follow constant light, so
-    that only POS_CORR counts. Stars that vary by no more than errors of POS_CORR make show none.
+    A star's pixels are its light times functions of POS_CORR, for centroids follow constant light.
+    Stars that vary by no more than errors of POS_CORR make show none.
     """
     light = np.nan_to_num(light)
     total = light.sum(axis=1)
@@ -296,3 +268,185 @@ def _constant_light(light, pos_corr):
     without = np.linalg.solve(gram.sum(axis=0) - gram + ridge, right.sum(axis=0) - right)[:, 0]
     error = np.sqrt((1 - 1 / _PARTS) * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
     return constant / np.maximum(error, 1e-300)
+
+
+@dataclass(frozen=True)
+class CrowdPixels:
+    """Pixels and priors of cadences."""
+
+    flux: np.ndarray  # (n, ny, nx)
+    error: np.ndarray  # infinite where there are no data
+    expected: np.ndarray  # flux, column, row, width and background, (n, 5)
+    sigma: np.ndarray  # their standard deviations
+
+    def __getitem__(self, which):
+        return CrowdPixels(*(values[which] for values in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Crowd:
+    r"""What all cadences share: one PRF of a star and its neighbors, learned from all of them.
+
+    .. math::
+
+        F_p(t) = b_p \sum_k a_k P(p - x_t - d_k; w_t) + c_t, \quad P = P_0 + \sum_j \pi_j \phi_j
+
+    with a first guess :math:`P_0`, Gaussians :math:`\phi` whose sum is a Gaussian process, gains b
+    of the pixels, fluxes a and distances d of the stars, of which only the target varies, and
+    position x, relative width w and background c of each cadence. Gauss-Newton steps improve what
+    all cadences share, with the states of the cadences eliminated.
+    """
+
+    prf: PRF  # first guess
+    change: np.ndarray  # coefficients of the Gaussians, rows and columns
+    gains: np.ndarray  # (ny, nx)
+    fluxes: np.ndarray  # of the neighbors, (k,)
+    away: np.ndarray  # their distances from the target, columns and rows, (k, 2)
+
+    @classmethod
+    def first(cls, prf, shape, fluxes, away):
+        """Return the first guess."""
+        return cls(prf, np.zeros((len(_CENTERS),) * 2), np.ones(shape), fluxes, away)
+
+    def images(self, x, y, width):
+        """Return images of unit flux ``(n, ny, nx)`` and their derivatives by the arguments."""
+        image, by = self.prf.unit_images(self.gains.shape, x, y, derivatives=True)
+        (columns, by_column), (rows, by_row) = self.waves(x, y)
+        along = self.change @ columns.transpose(0, 2, 1)
+        image = image + rows @ along
+        by_x = by["x_0"] - rows @ (self.change @ by_column.transpose(0, 2, 1))
+        by_y = by["y_0"] - by_row @ along
+        u, v = (np.arange(image.shape[axis]) - at[:, None] for axis, at in ((2, x), (1, y)))
+        wider = u[:, None, :] * by_x + v[:, :, None] * by_y - 2 * image
+        return image + width[:, None, None] * wider, (by_x, by_y, wider)
+
+    def waves(self, x, y):
+        """Return factors of the Gaussians along columns and rows ``(n, size, m)``, and slopes."""
+        for size, center in zip(self.gains.shape[::-1], (x, y), strict=True):
+            away = (np.arange(size) - center[:, None])[:, :, None] - _CENTERS
+            values = np.exp(-0.5 * (away / _SIGMA) ** 2)
+            yield values, -away / _SIGMA**2 * values
+
+    def stars(self, states):
+        """Yield flux with gains, column and row, image and derivatives of all stars."""
+        flux, x, y, width, _ = states.T
+        for one, (dx, dy) in zip([flux, *self.fluxes], [(0, 0), *self.away], strict=True):
+            light = np.broadcast_to(one, x.shape)[:, None, None] * self.gains
+            yield light, x + dx, y + dy, *self.images(x + dx, y + dy, width)
+
+    def sum_and_center(self):
+        """Return the PRF's sum over pixels, and its center of light relative to its place, px."""
+        wide, at = replace(self, gains=np.ones((41, 41))), np.array([20.0])
+        image = wide.images(at, at, np.zeros(1))[0][0]
+        center = np.array([np.sum(image.sum(axis=axis) * np.arange(41)) for axis in (0, 1)])
+        return image.sum(), center / image.sum() - 20
+
+    def others(self, states):
+        """Return the light of the neighbors, ``(n, ny, nx)``."""
+        _, *neighbors = self.stars(states)
+        return sum(light * image for light, _, _, image, _ in neighbors)
+
+    @property
+    def values(self):
+        """All parameters but the gains, ``(m,)``."""
+        return np.concatenate([self.change.ravel(), self.fluxes, self.away.ravel()])
+
+    def with_values(self, values, gains):
+        """Return the same with other parameters."""
+        m, k = self.change.size, len(self.fluxes)
+        change, fluxes, away = np.split(values, [m, m + k])
+        shaped = change.reshape(self.change.shape), gains, fluxes, away.reshape(k, 2)
+        return Crowd(self.prf, *shaped)
+
+    def sizes(self):
+        """Return prior standard deviations of the parameters but the gains."""
+        x, y = np.meshgrid(_CENTERS / _BROAD, _CENTERS / _BROAD)
+        size = _PRF * self.prf.unit_images((1, 1), -x.ravel(), -y.ravel()).ravel()
+        size *= np.diff(_CENTERS)[0] / (_SIGMA * np.sqrt(np.pi))  # squares of many add up
+        return np.concatenate([size, _FLUX * self.fluxes, np.full(self.away.size, _PLACE)])
+
+
+def _cadences(crowd, states, pixels):
+    """Return what pixels show of the states of cadences, all of unit variance.
+
+    These are weights and residuals of the pixels, an orthonormal basis of the states' effects on
+    pixels and priors with its factor, and what of the residuals is in it, ``(n, 5)``.
+    """
+    n, stars = len(states), list(crowd.stars(states))
+    image = crowd.gains * stars[0][3]
+    light = sum(flux * one for flux, _, _, one, _ in stars)
+    slopes = sum(flux * np.array(by) for flux, _, _, _, by in stars)
+    rest = pixels.flux - light - states[:, 4, None, None]
+    # the model errs by a part of the light; what is far off counts little, as cosmic rays
+    seen = light > CLIP * pixels.error
+    part = ((1.4826 * rest[seen]) ** 2 - pixels.error[seen] ** 2) / light[seen] ** 2
+    part = max(np.median(part), 0.0) if part.size else 0.0
+    root = 1 / np.sqrt(pixels.error**2 + part * light**2 + (rest / CLIP) ** 2)
+    effects = np.stack([image, *slopes, np.ones_like(image)], axis=-1) * root[..., None]
+    priors = np.eye(5) / pixels.sigma[:, None]
+    basis, factor = np.linalg.qr(np.concatenate([effects.reshape(n, -1, 5), priors], axis=1))
+    rest, away = (rest * root).reshape(n, -1), (pixels.expected - states) / pixels.sigma
+    seen = basis.transpose(0, 2, 1) @ np.concatenate([rest, away], axis=1)[..., None]
+    return root.reshape(n, -1), rest, basis, factor, seen[..., 0]
+
+
+def _moved(states, factor, seen):
+    """Return states after a step."""
+    step = np.linalg.solve(factor, seen[..., None])[..., 0]
+    step[:, 1:3] = np.clip(step[:, 1:3], -_PLACE, _PLACE)
+    return states + step
+
+
+def learn(first, pixels):
+    """Return a crowd that describes the pixels of some cadences."""
+    crowd, states, m = first, pixels.expected, first.change.size
+    sizes = np.append(first.sizes(), np.full(first.gains.size, _GAIN))
+    whole = np.where(np.arange(len(sizes)) < m, sizes, 0.0)  # of the PRF, which stays
+    for _ in range(_STEPS):
+        root, rest, basis, factor, seen = _cadences(crowd, states, pixels)
+        (n, p), (effects, light) = root.shape, _effects(crowd, states)
+        effects, light = effects * root[..., None], light * root
+        # gains act on one pixel each
+        own = basis[:, :p].transpose(0, 2, 1)
+        inside = np.concatenate([own @ effects, own * light[:, None]], axis=2).reshape(5 * n, -1)
+        flat = effects.reshape(n * p, -1)
+        cross = np.einsum("npm,np->mp", effects, light)
+        gram = np.block([[flat.T @ flat, cross], [cross.T, np.diag(np.sum(light**2, axis=0))]])
+        right = np.append(flat.T @ rest.ravel(), np.sum(light * rest, axis=0))
+        away = np.append(crowd.values - first.values, crowd.gains.ravel() - 1)
+        gram = (gram - inside.T @ inside) * sizes[:, None] * sizes + np.eye(len(sizes))
+        right = sizes * (right - inside.T @ seen.ravel()) - away / sizes
+        gram = np.block([[gram, whole[:, None]], [whole, 0.0]])
+        step = sizes * np.linalg.solve(gram, np.append(right, 0.0))[:-1]
+        states = _moved(states, factor, seen - (inside @ step).reshape(n, 5))
+        gains = crowd.gains + step[-p:].reshape(crowd.gains.shape)
+        crowd = crowd.with_values(crowd.values + step[:-p], gains)
+    mean = np.average(gains.ravel(), weights=np.abs(light).mean(axis=0))
+    return replace(crowd, gains=gains / mean, fluxes=mean * crowd.fluxes)
+
+
+def _effects(crowd, states):
+    """Return effects of the parameters on all pixels ``(n, n_pixels, m)``, and the light."""
+    n, waves, total, fluxes, places = len(states), 0.0, 0.0, [], []
+    for light, x, y, image, by in crowd.stars(states):
+        (columns, _), (rows, _) = crowd.waves(x, y)
+        one = rows[:, :, None, :, None] * columns[:, None, :, None, :]
+        waves = waves + light[..., None, None] * one
+        total = total + light * image
+        fluxes.append(crowd.gains * image)
+        places += [light * by[0], light * by[1]]
+    others = np.stack([*fluxes[1:], *places[2:]], axis=-1)
+    effects = np.concatenate([waves.reshape(*others.shape[:3], -1), others], axis=3)
+    return effects.reshape(n, -1, effects.shape[3]), (total / crowd.gains).reshape(n, -1)
+
+
+def track(crowd, pixels):
+    """Return states of all cadences, and the light of the neighbors in all pixels."""
+    states, light = pixels.expected.copy(), np.empty(pixels.flux.shape)
+    for start in range(0, len(states), BLOCK):
+        part = slice(start, start + BLOCK)
+        for _ in range(_STEPS):
+            *_, factor, seen = _cadences(crowd, states[part], pixels[part])
+            states[part] = _moved(states[part], factor, seen)
+        light[part] = crowd.others(states[part])
+    return states, light

@@ -1,17 +1,18 @@
-"""Periodic variability: the frequencies of a star that pulsates, is eclipsed, or rotates fast."""
+"""Variability that is no slow process: waves of stars that pulsate or rotate, short changes."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
 from astropy.stats import mad_std
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import uniform_filter1d
+from scipy import ndimage
 from scipy.optimize import minimize
+from scipy.signal import find_peaks
+from scipy.stats import t as student_t
 
-from scope_models.correctors._regression import Hyperparameters, Posterior
+from scope_models.correctors._regression import SLOWEST, Hyperparameters, Posterior
 
-__all__ = ["FAST", "find_rotation", "find_waves"]
+__all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
 
 #: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
 FAST = 1.0
@@ -22,7 +23,6 @@ _SIGNIFICANT = 40.0
 #: Tolerance: frequencies found in one round, and how far apart they are in units of one over the
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
-_ROUNDS = 20
 #: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
@@ -41,14 +41,20 @@ _TURNS, _HARMONICS = (2.0, 10.0), 3
 #: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
 #: which it may repeat itself; and twice the logarithm of the likelihood at the end of a search.
 _REACH, _PRECISION = 3.0, 0.1
+#: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
+_MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
+#: Tolerance: number of runs of a light curve that deviate as much by chance.
+_CHANCE = 0.1
+#: Tolerance: a search is for those that deviate by this part of the largest deviation: a deep
+#: transit bends the process around it.
+_PART = 0.5
+#: Tolerance: largest number of searches for waves, and for short changes.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
 class _Waves:
-    """Harmonics of one frequency, ``count`` of them, and others.
-
-    ``fit`` is a function that returns a `Solution` with columns of waves.
-    """
+    """Harmonics of one frequency, and others; ``fit`` returns a `Solution` with such columns."""
 
     others: tuple = ()
     base: float = 0.0
@@ -59,9 +65,9 @@ class _Waves:
         return np.append(self.base * np.arange(1, self.count + 1), self.others)
 
     def columns(self, time):
-        """Return a cosine and a sine per frequency, with the largest amplitudes of a size of one.
+        """Return a cosine and a sine per frequency.
 
-        Those of harmonics of a light curve with jumps fall as 1/k, and exposures average them.
+        Amplitudes of harmonics of a light curve with jumps fall as 1/k, and exposures average them.
         """
         k = np.arange(1, self.count + 1)
         turns = np.exp(2j * np.pi * np.outer(time, np.append(self.others, self.base)))
@@ -73,10 +79,7 @@ class _Waves:
         return waves.view(float)
 
     def improbability(self, n):
-        """Return minus the logarithm of the prior of frequencies that may be anywhere.
-
-        A series of ``n`` cadences resolves ``n / 2`` of them.
-        """
+        """Return minus the log-prior of frequencies, of which n cadences resolve n / 2."""
         return (len(self.others) + (self.count > 0)) * np.log(n / 2)
 
     def settled(self, fit):
@@ -93,14 +96,11 @@ class _Waves:
         return waves
 
     def _rows(self, fitted):
-        """Return the first of its flat columns in a fit, and the one after the last."""
+        """Return its first flat column in a fit, and the one after the last."""
         return fitted.n_trend - 2 * len(self.frequencies), fitted.n_trend
 
     def _shifted(self, fitted, size):
-        """Return it after one step from a fit, and the steps over their errors.
-
-        The prior of the step has a ``size``.
-        """
+        """Return it after one step from a fit, whose prior has a size; and steps over errors."""
         count, k, (first, last) = self.count, fitted.n_regressors, self._rows(fitted)
         amplitudes, waves = fitted.posterior.mean[k + first : k + last], fitted.flat[:, first:last]
         slope = waves[:, ::2] * amplitudes[1::2] - waves[:, 1::2] * amplitudes[::2]
@@ -141,10 +141,7 @@ class _Waves:
         return waves
 
     def significant(self, fit):
-        """Return it without frequencies that are not needed, the weakest first.
-
-        Of a series the last ones go: the others are its shape.
-        """
+        """Return it without frequencies that are not needed; of a series, the last ones go."""
         waves = self
         while len(waves.frequencies):
             gain = waves.gains(fit)
@@ -172,7 +169,7 @@ class _Rotation:
 
     @classmethod
     def at(cls, base, turns, count, length):
-        """Return that of so many harmonics, for a ``length`` of data, which drift within turns."""
+        """Return that of some harmonics, which drift within turns, for a ``length`` of data."""
         coherence = turns / base
         step = 1 / (length + _REACH * coherence)
         n = int(np.ceil(_REACH / (2 * np.pi * coherence * step)))
@@ -187,7 +184,7 @@ class _Rotation:
 
     @staticmethod
     def improbability(n):
-        """Return minus the logarithm of the prior of a frequency and of its distribution."""
+        """Return minus the log-prior of a frequency and of its distribution."""
         return 2 * np.log(n / 2)
 
 
@@ -223,21 +220,20 @@ def find_waves(solution, allowed):
 
     In each round all columns are fitted together, and the frequencies that explain most of the
     rest are added. If harmonics of one frequency are more likely, as of eclipses, these take their
-    place. Regressors are among the columns: what they explain is not variability. Of the
-    ``solution``, without periodic variability, data and columns are used and not its variances;
-    ``allowed`` are cadences that may be used, of all usable ones.
+    place. Regressors are among the columns: what they explain is not variability.
     """
     n_most = allowed.sum() // _CADENCES_PER_FREQUENCY
     waves, rest = _Waves(), solution.y
     for _ in range(_ROUNDS):
         # without cadences far from the ones around them: cosmic rays and other accidents
-        windows = sliding_window_view(np.pad(rest[allowed], 2, mode="edge"), 5)
-        difference = rest[allowed] - np.median(windows, axis=1)
+        difference = rest[allowed] - ndimage.median_filter(rest[allowed], 5, mode="nearest")
         use = allowed.copy()
         use[allowed] = np.abs(difference) <= _ALONE * max(mad_std(difference), 1e-300)
         trial = _with_simple_noise(solution.with_waves(waves, use), rest)
         frequency, gain = _spectrum(trial)
-        new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
+        apart = _APART / np.ptp(trial.data.time) / frequency[1]
+        peaks, _ = find_peaks(gain, _SIGNIFICANT, distance=apart)
+        new = frequency[peaks[np.argsort(gain[peaks])[: -_AT_ONCE - 1 : -1]]]
         if not len(new) or len(waves.frequencies) + len(new) > n_most:
             break
         fit = _fitter(solution, trial)
@@ -248,11 +244,9 @@ def find_waves(solution, allowed):
 
 
 def _fitter(solution, trial):
-    """Return the function from waves to their fits with the variances and cadences of a trial.
-
-    It keeps two, which is what a step compares: a fit of many waves takes 100 MB.
-    """
+    """Return the function from waves to their fits with the variances and cadences of a trial."""
     plain = replace(solution, hyper=trial.hyper)
+    # two are kept, which is what a step compares: a fit of many waves takes 100 MB
     return lru_cache(maxsize=2)(partial(plain.with_waves, use=trial.use))
 
 
@@ -263,7 +257,8 @@ def _with_series(waves, fit, n_most):
     equal eclipses in a period even multiples are the strongest: if as many multiples of half of the
     frequency gain much more, or odd ones are needed, it is half.
     """
-    length, n = np.ptp(fit(waves).data.time), len(fit(waves).data.time)
+    time = fit(waves).data.time
+    length = np.ptp(time)
     near = _NEAR / length
 
     def multiples(frequencies, base):
@@ -297,33 +292,27 @@ def _with_series(waves, fit, n_most):
         half = replace(series, base=series.base / 2, count=min(2 * series.count, n_most))
         if np.max(half.gains(fit)[: half.count : 2], initial=0.0) >= _SIGNIFICANT:
             found.append(replace(half, count=series.count).completed(fit, n_most))
-    return max(found, key=lambda each: fit(each).log_likelihood - each.improbability(n))
+    return max(found, key=lambda each: fit(each).log_likelihood - each.improbability(len(time)))
 
 
 def _with_simple_noise(solution, rest):
-    """Return a fit whose noise and slow process are those of a rest, with weak priors.
-
-    All that is slow and not periodic is a random walk.
-    """
-    rest = rest[solution.use]
+    """Return a fit with the noise of a rest, and weak priors; what is slow is a random walk."""
+    data, rest = solution.data, rest[solution.use]
     jitter = mad_std(np.diff(rest, 2)) / np.sqrt(6)
-    variance = np.median(solution.data.variance)
-    width = max(round(1 / float(np.median(np.diff(solution.data.time)))), 1)
-    slow = max(float(np.var(uniform_filter1d(rest, width))), 0.1 * variance)
-    unit = float(np.var(solution.y[solution.use])) / solution.data.sizes
-    if solution.data.most is not None:
-        unit = np.minimum(unit, solution.data.most)
-    length = float(np.ptp(solution.data.time))
-    hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, 0.0, 1.0, slow / length)
+    variance = np.median(data.variance)
+    width = max(round(1 / float(np.median(np.diff(data.time)))), 1)
+    slow = max(float(np.var(ndimage.uniform_filter1d(rest, width))), 0.1 * variance)
+    unit = np.minimum(float(np.var(data.y)) / data.sizes, data.most)
+    walk = slow / float(np.ptp(data.time))
+    hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, 0.0, 1.0, walk)
     return replace(solution, hyper=hyper)
 
 
 def _spectrum(solution):
-    """Return what a cosine and a sine at each frequency would gain.
+    """Return frequencies, and twice the gain of the log-likelihood by a cosine and a sine at each.
 
-    Twice the gain of the log-likelihood is |c^T a|^2 / (c^T Q c) with the inverse covariance Q and
-    a = Q y. Here Q is that of noise and slow process alone, which makes the gain smaller where
-    regressors explain the same.
+    That is |c^T a|^2 / (c^T Q c) with the inverse covariance Q and a = Q y. Here Q is that of noise
+    and slow process alone, which makes the gain smaller where regressors explain the same.
     """
     time = solution.data.time
     step = float(np.median(np.diff(time)))
@@ -340,14 +329,66 @@ def _spectrum(solution):
     return frequency, gain
 
 
-def _peaks(frequency, gain, resolution):
-    """Return the frequencies of the highest maxima that are significant."""
-    inner = gain[1:-1]
-    top = np.flatnonzero((inner >= gain[:-2]) & (inner > gain[2:]) & (inner > _SIGNIFICANT)) + 1
-    chosen = []
-    for k in top[np.argsort(gain[top])[::-1]]:
-        if all(abs(frequency[k] - f) > _APART * resolution for f in chosen):
-            chosen.append(frequency[k])
-        if len(chosen) == _AT_ONCE:
+def short_changes(solution):
+    """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates.
+
+    It does so from what all other cadences predict with regressors and a slow process, which
+    follows no transit. The unit is the typical deviation of runs of the same length, of which there
+    are few long ones: by chance, deviations follow Student's t.
+    """
+    time, used = solution.time, solution.data.time
+    width = _width(used)
+    if len(used) < 2 * width * _RUNS[-1]:
+        return np.empty((len(time), 0))
+    runs = _runs(solution.data.averaged(width), solution.posterior.mean, solution.hyper)
+    begins, ends = used[width * runs[:, 0]], used[width * runs[:, 1] - 1]
+    columns = ((time[:, None] >= begins) & (time[:, None] <= ends)).astype(float)
+    # half of the cadences in use remain
+    lost = with_edges(time, columns.any(axis=1))[solution.use]
+    return columns[:, : 0 if lost.mean() > 0.5 else None]
+
+
+def with_edges(time, short):
+    """Return cadences of short changes with those around them, where they may begin."""
+    return ndimage.binary_dilation(short, iterations=_width(time))
+
+
+def _width(time):
+    """Return the number of cadences of a mean."""
+    return max(round(_MEAN / float(np.median(np.diff(time)))), 1)
+
+
+def _runs(data, mean, hyper):
+    """Return the first means of runs that deviate, and those after the last, ``(n_runs, 2)``."""
+    n, rest = len(data.y), data.y - data.columns @ mean
+    amplitude = min(hyper.amplitude, max(mad_std(rest) ** 2, np.median(data.variance)))
+    hyper = replace(hyper, amplitude=amplitude, period=SLOWEST, walk=0.0)
+    process = hyper.process(data)
+    inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
+    free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
+    limits = [student_t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
+    for _ in range(_ROUNDS):
+        index = np.arange(n)[:, None]
+        boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
+        trial = replace(data, columns=np.concatenate([data.columns, boxes], axis=1))
+        whitened = process.whiten(trial.stacked)
+        solved = process.solve_whitened(whitened)
+        posterior = Posterior(whitened.T @ whitened, hyper.prior(trial))
+        solved[:, -1] -= solved[:, :-1] @ posterior.mean
+        sums = np.cumsum(np.pad(solved, ((1, 0), (0, 0))), axis=0)
+        deviating, new = [], []
+        for k, precision, limit in zip(_RUNS, inverse, limits, strict=True):
+            run = sums[k:] - sums[:-k]
+            explained = np.einsum("ij,ij->i", run[:, :-1] @ posterior.covariance, run[:, :-1])
+            size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
+            size /= 1.4826 * np.median(size)
+            deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > limit)]
+        least = _PART * max(deviating, default=(0.0,))[0]
+        for size, *run in sorted(deviating, reverse=True):
+            if size > least and free[slice(*run)].all():
+                free[slice(*run)] = False
+                new.append(run)
+        if not new:
             break
-    return chosen
+        runs = np.concatenate([runs, new])
+    return runs

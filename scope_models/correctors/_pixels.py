@@ -11,34 +11,23 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import target_place, usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel._columns import FEWEST, full_columns
-from scope_models.pixelmodel._position import (
+from scope_models.pixelmodel._smooth import (
+    CLIP,
     COORDINATES,
     DARK_PART,
     FEWEST_DARK,
     dark_plane,
     nearness,
     precise_aperture,
+    quantile,
 )
-from scope_models.pixelmodel._smoothing import CLIP, quantile
+from scope_models.pixelmodel._stamp import FEWEST, full_columns, full_pixels
 
 __all__ = [
-    "LARGEST_CORRECTION",
-    "NOISIER",
-    "OTHER_STAR",
-    "UNKNOWN_NOISE",
-    "WORSE",
-    "Pixels",
-    "aperture_pixels",
-    "at_one_place",
-    "choose_aperture",
-    "credible_flux",
-    "noise_ratios",
-    "scatter",
-    "typical_image",
-    "warn_of_pipeline",
-    "without_background",
-]
+    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "WORSE", "Pixels", "aperture_pixels",
+    "at_one_place", "at_rows", "choose_aperture", "credible_flux", "noise_ratios", "scatter",
+    "typical_image", "warn_of_pipeline", "without_background",
+]  # fmt: skip
 
 #: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -50,7 +39,6 @@ _BRIGHT_PART = 0.002
 LARGEST_CORRECTION = 30.0
 #: Warning: a correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
 WORSE = 1.1
-UNKNOWN_NOISE = "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
 NOISIER = (
     "the corrected light curve scatters more than the sum over the aperture, or there is no light "
     "above the noise: do not use it"
@@ -69,54 +57,25 @@ OTHER_STAR = 0.02
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of an aperture and which cadences can be used.
+    """Pixels of an aperture and which cadences can be used."""
 
-    Parameters
-    ----------
-    time : ndarray
-        Days, ``(n_cadences,)``; NaN where unknown.
-    flux, flux_err : ndarray
-        Pixel fluxes and their errors in e-/s, ``(n_cadences, ny, nx)``.
-    aperture : ndarray of bool
-        Pixels that are summed, ``(ny, nx)``.
-    total, total_err : ndarray
-        Sum over the aperture and its error, ``(n_cadences,)``.
-    usable : ndarray of bool
-        Cadences with finite time, finite pixels and a positive sum.
-    weights : ndarray or None
-        Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
-    own : ndarray of bool, optional
-        Pixels that are not those of other stars, ``(ny, nx)``.
-    crowding : float, optional
-        The target's share of the aperture's light: all but that in pixels of other stars.
-    lit : ndarray of bool, optional
-        Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
-    banded : ndarray of bool, optional
-        Cadences with rolling bands, ``(n_cadences,)``.
-    neighbors : NeighborLight, optional
-        Other stars whose light was taken off.
-    core : ndarray of bool, optional
-        Pixels of the aperture among which the brightest one is the target's, ``(ny, nx)``: those
-        that are in the pipeline's too, if there are any, and of the star at the file's coordinates.
-    place : ndarray, optional
-        Column and row of the target by these, if that is in the aperture, ``(2,)``.
-    """
-
-    time: np.ndarray
-    flux: np.ndarray
+    time: np.ndarray  # days, (n_cadences,); NaN where unknown
+    flux: np.ndarray  # e-/s, (n_cadences, ny, nx)
     flux_err: np.ndarray
-    aperture: np.ndarray
-    total: np.ndarray
+    aperture: np.ndarray  # pixels that are summed, (ny, nx)
+    total: np.ndarray  # sum over them, (n_cadences,)
     total_err: np.ndarray
-    usable: np.ndarray
-    weights: np.ndarray | None = None
-    own: np.ndarray | None = None
-    crowding: float = 1.0
-    lit: np.ndarray | bool = True
-    banded: np.ndarray | None = None
-    neighbors: object = None
-    core: np.ndarray | None = None
-    place: np.ndarray | None = None
+    usable: np.ndarray  # cadences with finite time, finite pixels and a positive sum
+    weights: np.ndarray | None  # of a moving aperture, as flux; None: all pixels count alike
+    own: np.ndarray  # pixels that are not those of other stars, (ny, nx)
+    crowding: float  # the target's share of the aperture's light: all but that of such pixels
+    lit: np.ndarray  # cadences that show the star; from the others nothing is learned
+    banded: np.ndarray  # cadences with rolling bands
+    # pixels of the aperture among which the brightest one is the target's: those that are in the
+    # pipeline's too, if there are any, and of the star at the file's coordinates
+    core: np.ndarray
+    place: np.ndarray | None  # column and row of the target by these, if that is in the aperture
+    neighbors: object = None  # a `NeighborLight`: other stars whose light was taken off
 
     @property
     def near(self):
@@ -130,9 +89,8 @@ class Pixels:
         return full_columns(np.where(self.aperture, measured, 0.0), use, saturation)
 
     def bled(self, use, saturation):
-        """Return full pixels and those next to them along columns, which hold bled charge."""
-        full = np.sum(self.flux[use] > (saturation or np.inf), axis=0) >= FEWEST
-        return ndimage.binary_dilation(full, np.ones((3, 1)))
+        """Return full pixels and those next to them along columns."""
+        return ndimage.binary_dilation(full_pixels(self.flux, use, saturation), np.ones((3, 1)))
 
     def loses_charge(self, use, saturation):
         """Return whether full pixels are above or below the aperture: it lacks what has bled."""
@@ -145,23 +103,36 @@ class Pixels:
         return quiet if quiet.sum() > use.sum() / 2 else use
 
     @property
+    def inside(self):
+        """Weight of each pixel in the sum."""
+        return self.aperture if self.weights is None else self.weights
+
+    @property
     def weighted(self):
         """The same, with pixels multiplied with their weights: their fractions are measured."""
         return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
-def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, saturation=None):
-    """Choose the aperture whose sum is expected to be most precise.
+def at_rows(values, rows):
+    """Return values with NaN, or False, in the places of other rows of a mask."""
+    fill = False if values.dtype == bool else np.nan
+    whole = np.full((len(rows), *values.shape[1:]), fill)
+    whole[rows] = values
+    return whole
+
+
+def choose_aperture(series, place):
+    """Choose the aperture of a file whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
-    stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
-    aperture loses with the star's motion least; all without ``pos_corr``, ``(n_cadences, 2)`` px.
-    Columns with full pixels, at ``saturation``, e-/s, are whole: charge bleeds as far as it must.
-    The target is searched in the pixels of ``pipeline``, near its ``place`` if that is known.
+    stars. Of these the ones are summed that make the noise of 6.5 h and the light lost with the
+    star's motion least; all without POS_CORR. Columns with full pixels are whole: charge bleeds as
+    far as it must. The target is in the pipeline's pixels, near its ``place`` if that is known.
     """
-    if len(flux) < FEWEST:
-        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {FEWEST} are needed")
-    given, flux = flux, without_background(flux)
+    given, pos_corr = series.flux, series.pos_corr
+    if len(given) < FEWEST:
+        raise ValueError(f"`tpf` has {len(given)} cadences: at least {FEWEST} are needed")
+    flux = without_background(given)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -173,19 +144,16 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
     count = max(FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without errors
-        noise = np.nan_to_num(np.nanmedian(flux_err[finite], axis=0))
+    noise = np.nan_to_num(typical_image(series.flux_err[finite]))
     mean = np.median(values, axis=0)
     light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
     lit = bright > np.maximum(CLIP * noise, _SMALLEST_SHARE * light)
     labels, _ = ndimage.label(lit)
-    near = np.ones_like(lit) if pipeline is None or not pipeline.any() else pipeline
-    if not (lit & near).any():
-        near = np.ones_like(lit)
-    if not (lit & near).any():
+    near = lit & series.aperture if (lit & series.aperture).any() else lit
+    if not near.any():
         message = "no pixel of `tpf` is above its noise: no aperture can be chosen"
         raise ValueError(f"{message}, give `aperture_mask`")
-    target = _target_pixels(mean, lit & near, place)
+    target = _target_pixels(mean, near, place)
     peak = np.argmax(np.where(target, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others
@@ -193,7 +161,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
     if pos_corr is not None:
         around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
         near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
-        best = _most_precise(flux, flux_err, own, around & near, pos_corr)
+        best = _most_precise(flux, series.flux_err, own, around & near, pos_corr)
+    saturation = series.mission and series.mission.full_flux
     full = full_columns(np.where(best, given, 0.0), finite, saturation)
     return best | full & ~others & np.isfinite(given[finite]).all(axis=0)
 
@@ -201,7 +170,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None, place=None, sa
 def _target_pixels(image, near, place):
     """Return those of some pixels from which the light rises to the target's peak.
 
-    The target is the brightest star, of several one at its place by the file's coordinates.
+    Where they do not hold its place by the file's coordinates, the target is the brightest star.
     """
     if not _hold(near, place):
         return near
@@ -247,11 +216,7 @@ def without_background(flux):
         terms = terms[:, :, :1]
     change = flux[:, dark] - typical[dark]
     more = np.where(np.isfinite(change), change, 0.0) @ np.linalg.pinv(terms[dark]).T
-    return (
-        flux
-        - background_plane(typical)
-        - (more @ terms.reshape(-1, terms.shape[2]).T).reshape(flux.shape)
-    )
+    return flux - background_plane(typical) - np.moveaxis(terms @ more.T, 2, 0)
 
 
 def _most_precise(flux, flux_err, own, candidates, pos_corr):
@@ -270,8 +235,7 @@ def _most_precise(flux, flux_err, own, candidates, pos_corr):
 def own_pixels(image, peak):
     """Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 15 % of the fainter one, 30 % along columns,
-    are one star's. ``peak`` is a flat index of the typical image.
+    Peaks between which the light drops little are one star's; ``peak`` is a flat index.
     """
     values = np.where(np.isfinite(image), image, -np.inf)
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -297,20 +261,13 @@ def _plane_terms(shape):
 
 
 def background_plane(image):
-    """Return the background of a median image: a plane through its darkest pixels.
-
-    The image, ``(ny, nx)``, is NaN where there are no data.
-    """
+    """Return the background of a median image: a plane through its darkest pixels."""
     terms, known = _plane_terms(image.shape), np.isfinite(image)
     return terms @ dark_plane(image[known], terms[known])
 
 
 def aperture_pixels(series, aperture):
-    """Return the pixels of an aperture of a `PixelSeries`: a mask, weights by cadence, or chosen.
-
-    A TypeError or ValueError is raised if it is no mask of pixels with data, or the sums are not
-    positive.
-    """
+    """Return `Pixels` of a `PixelSeries`; the aperture is a mask, weights by cadence, or None."""
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
     bands = series.mission.quality.rolling_band if series.mission else 0
@@ -319,10 +276,7 @@ def aperture_pixels(series, aperture):
     place = target_place(series)
     if aperture is None:
         dark = ~banded  # rolling bands light up pixels without stars
-        positions = None if series.pos_corr is None else series.pos_corr[dark]
-        full = series.mission and series.mission.full_flux
-        data = flux[dark], flux_err[dark], series.aperture, positions
-        aperture = choose_aperture(*data, place, full)
+        aperture = choose_aperture(series[dark], place)
     elif np.ndim(aperture) == 3:
         weights = checked_weights("aperture_mask", aperture, flux.shape)
         aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
@@ -346,27 +300,33 @@ def aperture_pixels(series, aperture):
     noise = CLIP * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
-    core = aperture & series.aperture
-    core = core if core.any() else aperture
+    core = aperture & series.aperture if (aperture & series.aperture).any() else aperture
     own, crowding, core = _own_light(flux[positive], aperture, core, places, place)
-    if chosen:
-        _compare_pipeline(series, aperture, positive, own)
-    return Pixels(
+    pixels = Pixels(
         time, flux, flux_err, aperture, total, total_err, positive, weights, own, crowding, lit,
-        banded, core=core, place=place if _hold(aperture, place) else None,
+        banded, core, place if _hold(aperture, place) else None,
     )  # fmt: skip
+    if chosen:
+        _compare_pipeline(series, pixels)
+    return pixels
 
 
 _REMEDY = 'compare `aperture_mask="pipeline"`'
 
 
-def _compare_pipeline(series, aperture, usable, own):
+def _other_aperture(series, pixels):
+    """Return the pipeline's aperture without other stars, if it is one and not that of pixels."""
+    other = series.aperture & (pixels.own | pixels.aperture)
+    differs = other.any() and not other.all() and (other != pixels.aperture).any()
+    return other if differs else None
+
+
+def _compare_pipeline(series, pixels):
     """Warn if the pipeline's aperture has other light than the chosen one, of the same star."""
-    other = series.aperture & (own | aperture)
-    if not other.any() or other.all() or (other == aperture).all():
+    other, aperture = _other_aperture(series, pixels), pixels.aperture
+    if other is None:
         return
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # pixels without data
-        image = np.nan_to_num(np.nanmedian(series.flux[usable], axis=0))
+    image = np.nan_to_num(typical_image(series.flux[pixels.usable]))
     inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
     if inside < whole / 2:
         part = 100 * max(inside / whole, 0)
@@ -378,11 +338,10 @@ def _compare_pipeline(series, aperture, usable, own):
 def warn_of_pipeline(series, pixels, flux, share):
     """Warn if a corrected flux has more noise than the raw sum over the pipeline's aperture.
 
-    The ``share`` is the part of the light in the aperture that was not taken off; pixels of other
-    stars do not count.
+    The ``share`` is the part of the light in the aperture that was not taken off.
     """
-    other, good = series.aperture & (pixels.own | pixels.aperture), np.isfinite(flux)
-    if not other.any() or other.all() or (other == pixels.aperture).all():
+    other, good = _other_aperture(series, pixels), np.isfinite(flux)
+    if other is None:
         return
     its = np.nansum(series.flux[good][:, other], axis=1)
     sizes = [share * _jumps(flux[good]), _jumps(its)]
@@ -439,7 +398,7 @@ def _filled_errors(total, total_err, usable):
         _warn(f"{bad.sum()} cadences without a valid FLUX_ERR get the median error of the others")
     else:
         value = scatter(total[usable])
-        _warn(UNKNOWN_NOISE)
+        _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
     return np.where(good, total_err, value)
 
 
@@ -447,9 +406,8 @@ def credible_flux(flux, flux_err, total, outliers):
     """Return a corrected flux that is finite or NaN, and its errors.
 
     Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
-    them can be anything. Such cadences get the typical correction, and an error as large as their
-    flux. ``total`` is the flux before, NaN where it cannot be used; ``outliers`` were left out of
-    the fit.
+    them can be anything: such cadences get the typical correction, and an error as large as their
+    flux. ``total`` is the flux before, NaN where it cannot be used.
     """
     usable = np.isfinite(total)
     with np.errstate(all="ignore"):
@@ -471,7 +429,7 @@ def credible_flux(flux, flux_err, total, outliers):
 def noise_ratios(raw, corrected):
     """Return the relative noise of 6.5 h over that of the raw flux, in both conventions.
 
-    In shorter series it is that of a quarter of them; without light above the noise it is infinite.
+    In short series it is that of a quarter; without light above the noise it is infinite.
     """
     both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
     curves = raw[both], corrected[both]

@@ -1,24 +1,18 @@
-"""Bayesian linear regression with one prior variance per group of columns, the most likely one."""
+"""Bayesian linear regression in linear time, with one prior variance per group of columns."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
+from celerite2 import backprop, driver
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
-from scope_models.correctors._covariance import FORGOTTEN, Covariance, Noise
-
 __all__ = [
-    "FLAT",
-    "SLOWEST",
-    "Data",
-    "Hyperparameters",
-    "Posterior",
-    "fit_hyperparameters",
-    "log_likelihood",
-]
+    "FLAT", "FORGOTTEN", "SLOWEST", "Covariance", "Data", "Hyperparameters", "Posterior",
+    "fit_hyperparameters", "log_likelihood",
+]  # fmt: skip
 
 #: Prior: variance of the columns with flat priors, in units of the data's.
 FLAT = 1e4
@@ -43,6 +37,8 @@ _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
 _LARGEST = 1e3
 #: Tolerance: least factor of the white noise's variance.
 _LEAST_NOISE = 1e-4
+#: Tolerance: a random walk is pulled back within so many days, which no file of one pointing lasts.
+FORGOTTEN = 100.0
 _value = attrgetter("value")
 
 
@@ -56,8 +52,8 @@ class Data:
     columns: np.ndarray  # (n, r): those of groups, then ``n_flat`` with flat priors
     groups: np.ndarray  # group of each column that has one
     n_flat: int  # columns with flat priors, whose largest elements are 1
-    expected: np.ndarray | None = None  # prior variance of each group, NaN for none
-    most: np.ndarray | None = None  # largest prior variance of each group, with ``expected``
+    expected: np.ndarray | float = np.nan  # prior variance of each group, NaN for none
+    most: np.ndarray | float = 1e18  # largest prior variance of each group
     noise_error: float = np.inf  # standard deviation of the logarithm of the white noise's factor
 
     @property
@@ -80,16 +76,10 @@ class Data:
         return np.bincount(self.groups, square, minlength=self.n_groups)
 
     def improbability(self, noise_scale, variances):
-        """Return minus the logarithm of the hyperprior, and its slopes by those of its arguments.
-
-        The first slope is that by the noise.
-        """
+        """Return minus the logarithm of the hyperprior, and slopes by those of its arguments."""
         noise = np.log(noise_scale) / self.noise_error
-        if self.expected is None:
-            ratio = excess = np.zeros(self.n_groups)
-        else:
-            ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
-            excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
+        ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
+        excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
         slopes = np.append(noise / self.noise_error, ratio / _SPREAD + excess / _EXCESS)
         return 0.5 * (noise**2 + ratio @ ratio + excess @ excess), slopes
 
@@ -115,21 +105,17 @@ class Hyperparameters:
 
     noise_scale: float  # factor of the white noise's variance
     variances: np.ndarray  # prior variance of each group
-    amplitude: float | None  # variance of the long-term process; None: there is none
+    amplitude: float  # variance of the long-term process; 0: there is none
     period: float  # its undamped period, days
     walk: float = 0.0  # half of the variance of the random walk's steps in a day
 
-    def process(self, time, variance):
+    def process(self, data):
         """Return the covariance of everything but the columns."""
-        if self.amplitude is None:
-            return Noise(self.noise_scale * variance)
-        scaled = self.noise_scale * variance
-        return Covariance(time, scaled, self.amplitude, self.period, self.walk)
+        scaled = self.noise_scale * data.variance
+        return Covariance(data.time, scaled, self.amplitude, self.period, self.walk)
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""
-        if self.amplitude is None:
-            return np.zeros_like(frequency)
         power = self.amplitude * self.period / (1 + (frequency * self.period) ** 4)
         walk = 2 * self.walk / np.maximum(2 * np.pi * frequency, 1 / FORGOTTEN) ** 2
         return np.sqrt(2) / np.pi * power + walk
@@ -142,9 +128,9 @@ class Hyperparameters:
 
 
 class Posterior:
-    """Coefficients of the columns, with prior variances ``prior``, given a Gram matrix.
+    """Coefficients of the columns with a prior variance each.
 
-    ``gram`` is ``[X y].T @ inv(K) @ [X y]`` with the covariance ``K`` of noise and long-term
+    The Gram matrix is ``[X y].T @ inv(K) @ [X y]`` with the covariance ``K`` of noise and long-term
     process.
     """
 
@@ -163,15 +149,12 @@ class Posterior:
         self.quadratic = gram[-1, -1] - self._projected @ self._projected
 
     def log_likelihood(self, process, n):
-        """Return the logarithm of the marginal likelihood of ``n`` data, of noise and process."""
+        """Return the logarithm of the marginal likelihood of ``n`` data."""
         value = self.quadratic + self.log_determinant + process.log_determinant
         return -0.5 * float(value + n * np.log(2 * np.pi))
 
     def left(self, products):
-        """Return what the columns leave of the Gram matrix of others, but for these themselves.
-
-        ``products`` are the Gram matrix's of the columns with the others, ``(k, m)``.
-        """
+        """Return what the columns take off the Gram matrix of others, from products with these."""
         part = dtrtrs(self._lower, self._root[:, None] * products, lower=1)[0]
         return -part.T @ part
 
@@ -209,34 +192,23 @@ class Posterior:
         return gram[-1, -1] - 2 * gram[:-1, -1] @ mean + mean @ gram[:-1, :-1] @ mean
 
 
-def log_likelihood(data, hyper, *, gradient=False):
-    """Return the logarithm of the marginal likelihood.
-
-    With ``gradient`` its derivatives by the logarithms of noise scale, variances, amplitude,
-    period and walk follow, the last three with a long-term process only.
-    """
-    process = hyper.process(data.time, data.variance)
-    stacked = data.stacked
-    prior = hyper.prior(data)
-    z = process.whiten(stacked)
+def log_likelihood(data, hyper):
+    """Return the logarithm of the marginal likelihood, and its slopes by the hyper-parameters'."""
+    process, prior = hyper.process(data), hyper.prior(data)
+    z = process.whiten(data.stacked)
     posterior = Posterior(z.T @ z, prior)
-    value = posterior.log_likelihood(process, len(data.y))
-    if not gradient:
-        return value
     used = 1 - posterior.shrinkage - posterior.mean**2 / prior
     groups = 0.5 * np.bincount(data.groups, used[: len(data.groups)], minlength=data.n_groups)
     left = np.column_stack([posterior.spread(z[:, :-1]), z[:, :-1] @ posterior.mean - z[:, -1]])
-    if hyper.amplitude is None:
-        variance_bar = 0.5 - 0.5 * np.einsum("ij,ij->i", left, left)
-        return value, -np.array([variance_bar.sum(), *groups])
     variance_bar, *process_bar = process.gradient(left)
     scale = hyper.noise_scale * np.sum(variance_bar * data.variance)
-    return value, -np.array([scale, *groups, *process_bar])
+    slopes = -np.array([scale, *groups, *process_bar])
+    return posterior.log_likelihood(process, len(data.y)), slopes
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """Hyper-parameters, with what the likelihood takes from noise and process there."""
+    """Hyper-parameters, and what the likelihood takes from noise and process there."""
 
     data: Data
     hyper: Hyperparameters
@@ -245,17 +217,17 @@ class _Trial:
 
     @classmethod
     def at(cls, data, hyper):
-        process = hyper.process(data.time, data.variance)
+        process = hyper.process(data)
         z = process.whiten(data.stacked)
         return cls(data, hyper, z.T @ z, process.log_determinant)
 
-    def changed(self, variances, factor=1.0):
+    def changed(self, variances, factor):
         """Return it with other variances, and with noise and process multiplied with a factor."""
         hyper = replace(
             self.hyper,
             noise_scale=self.hyper.noise_scale * factor,
             variances=variances,
-            amplitude=None if self.hyper.amplitude is None else self.hyper.amplitude * factor,
+            amplitude=self.hyper.amplitude * factor,
             walk=self.hyper.walk * factor,
         )
         more = len(self.data.y) * np.log(factor)
@@ -263,7 +235,7 @@ class _Trial:
 
     @cached_property
     def value(self):
-        """Logarithm of the likelihood times the hyperprior, but for a constant; -inf: it fails."""
+        """Logarithm of likelihood times hyperprior, but for a constant; -inf: it fails."""
         try:
             posterior = Posterior(self.gram, self.hyper.prior(self.data))
         except np.linalg.LinAlgError:
@@ -302,8 +274,7 @@ def _fit_scales(trial):
 def _minimize(objective, start, bounds, n):
     """Minimize over positive parameters, and return these.
 
-    The first one is the noise, which ``n`` data determine much better than the others: its unit is
-    smaller.
+    The first one, the noise, has a smaller unit: ``n`` data determine it much better.
     """
     unit = np.ones(len(start))
     unit[0] = (n / 2) ** -0.25
@@ -342,7 +313,7 @@ def _fit_process(trial):
         scale, variance, *process = np.exp(theta)
         tried = Hyperparameters(scale, np.array([variance]), *process)
         try:
-            value, slope = log_likelihood(data, tried, gradient=True)
+            value, slope = log_likelihood(data, tried)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
         unlikely, rise = whole.improbability(scale, hyper.variances * variance)
@@ -363,19 +334,26 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     """Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
-    and the process' with the columns compressed, by turns. Whether a slow change is variability or
-    systematics can make two maxima, so that there are two starts unless one is given, or, if
-    ``trend`` is False, one without a process. Of very many cadences, means are searched first.
+    and the process' with the columns compressed, by turns. Of very many cadences, means are
+    searched first. Without a ``start`` there are two, for whether a slow change is variability or
+    systematics can make two maxima: columns or slow process are as large as the data, the other
+    ones as small as the noise. Without ``trend`` there is no process.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
         hyper = fit_hyperparameters(data.averaged(width), start, trend=trend)
         return _fit_scales(_Trial.at(data, hyper)).hyper
-    best = _best_start(data, trend) if start is None else _Trial.at(data, start)
+    if start is not None:
+        best = _Trial.at(data, start)
+    else:
+        sizes = float(np.median(data.variance)), data.spread
+        pairs = (sizes, sizes[::-1]) if trend else ((0.0, data.spread),)
+        starts = (Hyperparameters(1.0, part / data.sizes, size, SLOWEST) for size, part in pairs)
+        best = max((_fit_scales(_Trial.at(data, start)) for start in starts), key=_value)
     for k in range(_ROUNDS):
         value = best.value
         best = max(best, _fit_scales(best), key=_value)
-        if best.hyper.amplitude is None or (k > 0 and best.value < value + _TOLERANCE):
+        if not best.hyper.amplitude or (k > 0 and best.value < value + _TOLERANCE):
             break  # nor would the process change
         best = max(best, _fit_process(best), key=_value)
         if best.value < value + _TOLERANCE:
@@ -383,12 +361,144 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     return best.hyper
 
 
-def _best_start(data, trend):
-    """Return the better of two starts: the columns as large as the data, or the slow process.
+class Covariance:
+    r"""White noise plus a smooth stochastic oscillator and a random walk, factorized by celerite2.
 
-    The other one is as small as the noise, or there is no process.
+    The kernel of the oscillator is that of a stochastically driven, damped one of quality
+    :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|} (\cos w\tau + \sin w|\tau|)` with
+    :math:`w = \sqrt{2}\,\pi/\rho`. The ``amplitude`` is the variance :math:`\sigma^2`, the
+    ``period`` the undamped :math:`\rho` in days, ``walk`` half of the variance of the steps of the
+    random walk in a day; times in days ``(n,)`` increase.
     """
-    sizes = float(np.median(data.variance)), data.spread
-    pairs = (sizes, sizes[::-1]) if trend else ((None, data.spread),)
-    starts = (Hyperparameters(1.0, part / data.sizes, size, SLOWEST) for size, part in pairs)
-    return max((_fit_scales(_Trial.at(data, start)) for start in starts), key=_value)
+
+    def __init__(self, time, variance, amplitude, period, walk=0.0):
+        self.time, self.variance, self.amplitude = time, variance, amplitude
+        self.rate, self.walk = np.sqrt(2) * np.pi / period, walk * FORGOTTEN
+        self._a = variance + amplitude + self.walk
+        self._u, self._v = self._generators(time)
+        self._c = np.array([self.rate, self.rate, 1 / FORGOTTEN])
+        self._d, self._w, self._state = backprop.factor_fwd(
+            time, self._c, self._a, self._u, self._v,
+            np.empty_like(self._a), np.empty_like(self._v), np.empty((len(time), 3, 3)),
+        )  # fmt: skip
+        if not (np.isfinite(self._d).all() and (self._d > 0).all()):
+            raise np.linalg.LinAlgError("the covariance is not positive definite")
+        self.log_determinant = float(np.sum(np.log(self._d)))
+
+    def _generators(self, time):
+        """Return the generators of the lower and the upper triangle, ``(n, 3)``."""
+        phase, one = self.rate * time, np.ones_like(time)
+        cos, sin = np.cos(phase), np.sin(phase)
+        lower = np.stack([cos + sin, sin - cos, one], axis=1)
+        lower *= self.amplitude, self.amplitude, self.walk
+        return lower, np.stack([cos, sin, one], axis=1)
+
+    def whiten(self, columns):
+        """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
+        z = np.array(columns, order="C")
+        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
+        z /= np.sqrt(self._d)[:, None]
+        return z
+
+    def solve_whitened(self, whitened):
+        """Return ``inv(K) @ columns`` from what `whiten` makes of them."""
+        z = np.divide(whitened, np.sqrt(self._d)[:, None], order="C")
+        return driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
+
+    def predict(self, residual, time):
+        """Return the mean of the processes at other increasing times, from ``inv(K) @ rest``."""
+        alpha, (u, v) = np.ascontiguousarray(residual[:, None]), self._generators(time)
+        mean = np.zeros((len(time), 1))
+        mean = driver.general_matmul_lower(time, self.time, self._c, u, self._v, alpha, mean)
+        return driver.general_matmul_upper(time, self.time, self._c, v, self._u, alpha, mean)[:, 0]
+
+    def gradient(self, whitened):
+        """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
+
+        The derivative of f by its argument is F F^T / 2, and whitened is what `whiten` makes of the
+        columns C, times F. With G = inv(K) C F, a change dK of K changes f by -G^T dK G / 2: no
+        derivative is carried through the factorization's recursions for all columns. Return those
+        by the variance of the noise, ``(n,)``, and the logarithms of amplitude, period and walk.
+        """
+        solved = self.solve_whitened(whitened)
+        by_noise = 0.5 * np.einsum("ij,ij->i", solved, solved)
+        variance_bar, amplitude_bar, period_bar, walk_bar = self._determinant_gradient
+        u, v = np.ascontiguousarray(self._u[:, 2:]), np.ascontiguousarray(self._v[:, 2:])
+        below = driver.matmul_lower(self.time, self._c[2:], u, v, solved, np.zeros_like(solved))
+        by_walk = self.walk * by_noise.sum() + np.vdot(solved, below)
+        # the process' part of K is K without the noise
+        by_process = 0.5 * np.vdot(whitened, whitened) - by_noise @ self.variance - by_walk
+        # the kernel's slope by log period is 2 sigma^2 w tau exp(-w tau) sin(w tau): tau is a
+        # difference of times, so that four pairs of generators make it
+        t, (cos, sin, _) = self.time, self._v.T
+        u = 2 * self.amplitude * self.rate * np.stack([t * sin, t * cos, sin, cos], axis=1)
+        v = np.stack([cos, -sin, -t * cos, t * sin], axis=1)
+        below = driver.matmul_lower(t, np.full(4, self.rate), u, v, solved, np.zeros_like(solved))
+        by_period = np.vdot(solved, below)
+        slopes = amplitude_bar - by_process, period_bar - by_period, walk_bar - by_walk
+        return variance_bar - by_noise, *slopes
+
+    @cached_property
+    def _determinant_bars(self):
+        """Derivatives of half of log det K by the diagonal, the rates and the generators."""
+        bars = [np.zeros_like(x) for x in (self.time, self._c, self._a, self._u, self._v)]
+        arrays = self.time, self._c, self._a, self._u, self._v, self._d, self._w, self._state
+        return backprop.factor_rev(*arrays, 0.5 / self._d, np.zeros_like(self._w), *bars)[1:]
+
+    @property
+    def _determinant_gradient(self):
+        """Derivatives of half of log det K, as of `gradient`."""
+        c_bar, a_bar, u_bar, v_bar = self._determinant_bars
+        amplitude, (cos, sin, _) = self.amplitude, self._v.T
+        by_generator = np.einsum("ij,ij->j", u_bar, self._u)
+        amplitude_bar = amplitude * a_bar.sum() + by_generator[:2].sum()
+        walk_bar = self.walk * a_bar.sum() + by_generator[2]
+        # by the phase of the generators, which a longer period turns back
+        du = amplitude * np.stack([cos - sin, cos + sin], axis=1)
+        turned = u_bar[:, :2] * du + v_bar[:, :2] * np.stack([-sin, cos], axis=1)
+        turned = np.sum(turned * (self.rate * self.time[:, None])) + self.rate * c_bar[:2].sum()
+        return a_bar, float(amplitude_bar), float(-turned), float(walk_bar)
+
+    def inverse_diagonal(self):
+        """Return the diagonal of ``inv(K)``: the derivative of log det K by that of K."""
+        return 2 * self._determinant_bars[1]
+
+    def inverse_blocks(self, starts, width):
+        """Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``.
+
+        With K = L D L^T, a column of inv(L) is a recursion through a state of three numbers: all
+        rows below a block enter through one 3 x 3 matrix.
+        """
+        u, d, decay = self._u, self._d, self._decay
+        rows = np.zeros((len(starts), width, width))
+        tails = np.zeros((len(starts), width, 3))
+        for k in range(width):
+            here = starts + k
+            columns = -(tails @ u[here, :, None])[:, :, 0]
+            columns[:, k] = 1.0
+            rows[:, :, k] = columns / np.sqrt(d[here, None])
+            tails = decay[here, None] * (tails + columns[:, :, None] * self._w[here, None])
+        outside = tails @ self._below[starts + width] @ tails.transpose(0, 2, 1)
+        return rows @ rows.transpose(0, 2, 1) + outside
+
+    @cached_property
+    def _decay(self):
+        """Decay of the states from each row to the next, ``(n, 3)``."""
+        return np.append(np.exp(-self._c * np.diff(self.time)[:, None]), np.zeros((1, 3)), axis=0)
+
+    @cached_property
+    def _below(self):
+        """S_m = u_m u_m^T / d_m + T_m^T S_(m+1) T_m with T = decay (1 - w u^T), and 0 below.
+
+        Sums over twice as many rows follow from two of so many each.
+        """
+        u, rows = self._u, len(self._d)
+        steps = self._decay[:, :, None] * (np.eye(3) - self._w[:, :, None] * u[:, None])
+        sums = np.zeros((rows + 1, 3, 3))
+        sums[:-1] = u[:, :, None] * u[:, None] / self._d[:, None, None]
+        width = 1
+        while width < rows:
+            here = steps[:-1]
+            sums[: rows - width] += here.transpose(0, 2, 1) @ sums[width:rows] @ here
+            steps, width = steps[width:] @ steps[:-width], 2 * width
+        return sums

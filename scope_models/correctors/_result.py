@@ -1,4 +1,4 @@
-"""The fit of pixel level decorrelation: hyper-parameters, systematics, errors and diagnostics."""
+"""The fit of pixel level decorrelation, and what follows from it."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -9,31 +9,33 @@ from astropy.table import QTable
 from scipy import ndimage
 
 from scope_models._checks import checked_cadences, checked_integer
+from scope_models._docstrings import documented
 from scope_models._threads import one_thread
 from scope_models._values import html_table
-from scope_models.correctors._injection import (
+from scope_models.correctors._light import (
+    SHARE_ERROR,
     box_signal,
     checked_depth,
     depth_ratio,
     fitted_depth,
     no_survival,
     transit_column,
-    warn_of_unmasked,
 )
-from scope_models.correctors._pixels import LARGEST_CORRECTION
+from scope_models.correctors._pixels import LARGEST_CORRECTION, at_rows
 from scope_models.correctors._solution import Solution
-from scope_models.correctors._stars import SHARE_ERROR
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel._smoothing import TRANSIT
+from scope_models.pixelmodel._smooth import TRANSIT
 from scope_models.pixelmodel._star import MISFIT
 
-__all__ = ["CONTAMINATED", "PLDFit"]
+__all__ = ["FIT_TRANSIT", "HELD_OUT", "PLDFit"]
 
 #: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
-#: that measured fractions explain; and the noise's variance over FLUX_ERR squared. Smaller
-#: apertures lose light when the star moves, which the fractions explain.
+#: that measured fractions explain; and the noise's variance over FLUX_ERR squared.
+_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
+#: Warning: smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
-_MANY, CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
+#: Warning: part of a transit outside of the mask above which its depth is not trusted.
+_UNMASKED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
 #: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
 _SURVIVALS = (-0.05, 1.15)
@@ -52,6 +54,59 @@ _NUMBERS = (
 )  # fmt: skip
 
 
+# What methods of the corrector and of the fit have in common.
+FIT_TRANSIT = """The amplitude of the model is fitted jointly with the systematics and the long-term
+variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
+those of ``transit_mask`` that are no outliers from the model with the transit.
+
+Then the transit is taken out of the star's light in the pixels, and everything is
+done again, up to three times: what the fit still finds is the response of the chain, pixel
+fractions and all. The amplitude is the one that leaves no transit in the fit. It is relative to
+all light in the aperture, less that of neighbors that was taken off.
+
+Parameters
+----------
+transit_model : array_like or callable
+    As in `PLDCorrector.correct`.
+
+Returns
+-------
+scale, error : float
+    Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
+    cadence samples the event.
+
+Warns
+-----
+DetrendingWarning
+    If the transits were neither masked nor fitted jointly.
+"""
+HELD_OUT = """The hyper-parameters stay as they are; the coefficients and the long-term variability
+are inferred again for each window from all others, in closed form.
+
+Parameters
+----------
+width : int, optional
+    Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+cadences : array_like of bool, optional
+    Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
+    compared on the same ones, with what each of them left out as an outlier.
+
+Returns
+-------
+residual : `~numpy.ndarray`
+    Mean of measured minus predicted relative flux, per window.
+error : `~numpy.ndarray`
+    Its expected standard deviation: noise and model.
+used : `~numpy.ndarray`
+    Indices of the cadences, which are the windows one after the other.
+
+Raises
+------
+ValueError
+    If there are fewer cadences than two windows, or ``cadences`` cannot be used.
+"""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PLDFit:
     """
@@ -65,7 +120,7 @@ class PLDFit:
     model : PLDModel
         The model.
     solution : Solution
-        The linear algebra: coefficients, covariances, cadences in the fit.
+        Coefficients, covariances, cadences in the fit.
     cadence_mask, transit_mask : ndarray of bool
         Cadences that the fit was allowed to use, and those in transit, ``(n_cadences,)``.
     transit_model : array_like or callable, optional
@@ -98,22 +153,22 @@ class PLDFit:
     @property
     def n_columns(self):
         """Number of columns of each group."""
-        return tuple(int(k) for k in np.bincount(self.solution.regressors.groups))
+        return tuple(np.bincount(self.solution.regressors.groups).tolist())
 
     @property
     def prior_variance(self):
         """Prior variance of each group's coefficients."""
-        return tuple(float(v) for v in self.solution.hyper.variances)
+        return tuple(self.solution.hyper.variances.tolist())
 
     @cached_property
     def explained_variance(self):
         """Variance of each group's part of the model; the parts are correlated."""
-        return tuple(self.solution.group_variances())
+        return tuple(self.solution.group_variances().tolist())
 
     @cached_property
     def effective_parameters(self):
         """Number of parameters per group that the data determine."""
-        return tuple(float(v) for v in self.solution.effective_parameters())
+        return tuple(self.solution.effective_parameters().tolist())
 
     @property
     def noise_scale(self):
@@ -128,13 +183,12 @@ class PLDFit:
     @property
     def trend_sigma(self):
         """Standard deviation of the long-term process, NaN with ``trend="quadratic"``."""
-        amplitude = self.solution.hyper.amplitude
-        return np.nan if amplitude is None else float(np.sqrt(amplitude))
+        return float(np.sqrt(self.solution.hyper.amplitude or np.nan))
 
     @property
     def trend_period(self):
         """Undamped period of the long-term process in days, NaN with ``trend="quadratic"``."""
-        return np.nan if self.solution.hyper.amplitude is None else self.solution.hyper.period
+        return self.solution.hyper.period if self.solution.hyper.amplitude else np.nan
 
     @property
     def frequencies(self):
@@ -149,12 +203,12 @@ class PLDFit:
     @property
     def breaks(self):
         """Times (days) at which segments begin."""
-        return self.model.design.breaks
+        return self.model.breaks
 
     @property
     def used(self):
         """Cadences in the fit, ``(n_cadences,)``."""
-        return self._whole(self.solution.use, fill=False)
+        return self._whole(self.solution.use)
 
     @property
     def outliers(self):
@@ -162,7 +216,7 @@ class PLDFit:
 
         Not those of `dips`, which are left out of the fit too, nor short brightenings.
         """
-        return self._whole(self._left_out & ~self._in_dips & ~self.solution.short, fill=False)
+        return self._whole(self._left_out & ~self._in_dips & ~self.solution.short)
 
     @property
     def dips(self):
@@ -171,7 +225,7 @@ class PLDFit:
         Two or more in a row, as in transits and eclipses, each or all together fainter than the
         model by more than the errors of noise and systematics allow.
         """
-        return self._whole(self._in_dips, fill=False)
+        return self._whole(self._in_dips)
 
     @property
     def _left_out(self):
@@ -200,16 +254,15 @@ class PLDFit:
     @cached_property
     def window(self):
         """Number of cadences in 6.5 hours, 13 for long cadences."""
-        step = float(np.median(np.diff(self.solution.time)))
-        return int(np.clip(round(TRANSIT / step), 1, len(self.solution.alpha) // 2))
+        step = np.median(np.diff(self.solution.time))
+        return int(np.clip(round(TRANSIT / step), 1, self.n_used // 2))
 
     @property
     def transit_survival(self):
         """
         Part of a transit's depth that survives if the transit is not masked: `survival`.
 
-        Found when it is first read, by another correction of the pixels; NaN, with a warning
-        that has the reason, if it cannot be found.
+        Found when it is first read, by another correction of the pixels.
         """
         return self._survival[0]
 
@@ -262,30 +315,25 @@ class PLDFit:
         """
         from scope_models.plotting.detrending import plot_states  # imports matplotlib
 
-        pixels, clean = self.model.pixels, self.model.clean
+        source, clean = self.model.source, self.model.clean
         if clean is None:
             raise ValueError("the pixel fractions are measured: there are no states to draw")
         states, leaks = clean.leaks()
-        modeled = self.model.source.pixels.usable  # the light may be nothing in some
-        columns, rows = clean.grid.T
-        images = np.full((len(leaks), *pixels.aperture.shape), np.nan)
-        images[:, rows, columns] = list(leaks.values())
+        images = np.full((len(leaks), *source.pixels.aperture.shape), np.nan)
+        images[:, *clean.grid.T[::-1]] = list(leaks.values())
         return plot_states(
-            pixels.time,
-            {name: self._whole(values, which=modeled) for name, values in states.items()},
+            source.pixels.time,
+            {name: at_rows(values, source.pixels.usable) for name, values in states.items()},
             dict(zip(leaks, images, strict=True)),
-            pixels.aperture,
-            time_label=f"Time ({self.model.source.series.time_format.upper()})",
+            source.pixels.aperture,
+            time_label=f"Time ({source.series.time_format.upper()})",
         )
 
     # The light curve's parts
 
-    def _whole(self, values, fill=np.nan, which=None):
-        """Return an array over all cadences from one over the usable or other ones."""
-        which = self.model.pixels.usable if which is None else which
-        whole = np.full(len(which), fill)
-        whole[which] = values
-        return whole
+    def _whole(self, values):
+        """Return values of all cadences from those of usable ones."""
+        return at_rows(values, self.model.pixels.usable)
 
     @cached_property
     def systematics(self):
@@ -338,9 +386,9 @@ class PLDFit:
 
     @cached_property
     def _image_error(self):
-        """Relative error of the flux where the part of the light outside changes."""
+        """Relative error of the flux where the light outside changes."""
         usable = self.model.pixels.usable
-        held = self.model.design.extra.get("aperture", np.zeros((len(usable), 1)))[usable, 0]
+        held = self.model.extra.get("aperture", np.zeros((len(usable), 1)))[usable, 0]
         return MISFIT * (held - np.median(held))
 
     def remarks(self):
@@ -353,36 +401,34 @@ class PLDFit:
             Many outliers, other light in the aperture, fractions that follow the star, noise far
             above FLUX_ERR. Empty if there is nothing.
         """
-        found, n = [], len(self.solution.use)
-        left_out = (self._left_out & ~self.solution.short).sum()
+        found, solution = [], self.solution
+        left_out = (self._left_out & ~solution.short).sum()
         if left_out > _MANY * self.cadence_mask.sum():
             found.append(
-                f"{left_out} of {n} cadences are left out of the fit as outliers: the star "
-                "varies in a way that the model cannot follow, or pixels are damaged"
+                f"{left_out} of {len(solution.use)} cadences are left out of the fit as outliers: "
+                "the star varies in a way that the model cannot follow, or pixels are damaged"
             )
-        crowded = 1 - self.model.pixels.crowding > CONTAMINATED
         other = max(1 - self.crowding, self.contrast_error)
-        if self.contamination > CONTAMINATED:
-            if self.contrast_error > CONTAMINATED:
+        if self.contamination > _CONTAMINATED:
+            if self.contrast_error > _CONTAMINATED:
                 found.append(
                     f"{100 * self.contamination:.0f} % of the light in the aperture was taken off, "
                     "that of other stars: depths and amplitudes are uncertain by "
                     f"{100 * self.contrast_error:.0f} %"
                 )
-        elif crowded or other > _MANY:
+        elif other > _MANY or 1 - self.model.pixels.crowding > _CONTAMINATED:
             found.append(
                 f"about {100 * other:.0f} % of the light in the aperture is of other stars: depths "
                 "and amplitudes are too small by as much"
             )
-        whole = self.model.pixels.aperture.sum() >= _WHOLE
-        if whole and self.may_follow:
+        if self.may_follow and self.model.pixels.aperture.sum() >= _WHOLE:
             found.append(
                 f"measured fractions explain changes of {100 * self._change:.0f} % of the flux: "
                 "with other light in the aperture they follow the star, and its variability is "
                 'lost; compare `fractions="predicted"`'
             )
-        step = np.median(np.diff(self.solution.time)) / np.median(self.solution.variance)
-        noise = self.noise_scale + self.solution.hyper.walk * step
+        step = np.median(np.diff(solution.time)) / np.median(solution.variance)
+        noise = self.noise_scale + solution.hyper.walk * step
         if noise > _NOISY:
             found.append(
                 f"the noise has {noise:.0f} times the variance of FLUX_ERR: the star varies from "
@@ -408,7 +454,7 @@ class PLDFit:
     def contamination(self):
         """Light of neighbors that was taken off, as a part of all light."""
         pixels = self.model.pixels
-        return 0.0 if pixels.neighbors is None else 1 - pixels.crowding
+        return 1 - pixels.crowding if pixels.neighbors else 0.0
 
     @property
     def neighbors(self):
@@ -425,34 +471,33 @@ class PLDFit:
     @cached_property
     def contrast_error(self):
         """Relative uncertainty of depths and amplitudes due to other light in the aperture."""
-        source, clean = self.model.source, self.model.clean
-        known = 0.0 if source is None else source.contrast_error
-        return max(known, 0.0 if clean is None else clean.constant)
+        clean = self.model.clean
+        return max(self.model.source.contrast_error, clean.constant if clean else 0.0)
 
     @property
     def crowding(self):
         """Target's share of the aperture's light, at most.
 
-        The rest is in pixels in which other stars are brightest, of a star whose light is blended
-        with the target's and has no peak of its own, does not vary as the target does, or is in the
-        pipeline's aperture by the file's CROWDSAP.
+        The rest is in pixels in which other stars are brightest, of a star without a peak of its
+        own, does not vary as the target does, or is stated by the file's CROWDSAP.
         """
         pixels, source, clean = self.model.pixels, self.model.source, self.model.clean
-        blended = source is not None and pixels.own is not None and pixels.own.all()
-        other = source.other_light if blended else 0.0
-        stated = source and source.series.header.get("CROWDSAP")
-        known = isinstance(stated, float) and 0 < stated <= 1
-        if not known or not pixels.aperture[source.series.aperture].all():  # it is of another one
-            stated = 1.0
-        return min(pixels.crowding, stated, 1 - other, 1 - clean.constant if clean else 1.0)
+        shares = [pixels.crowding, 1 - clean.constant if clean else 1.0]
+        if pixels.own.all():
+            shares.append(1 - source.other_light)
+        stated = source.series.header.get("CROWDSAP")
+        its_own = pixels.aperture[source.series.aperture].all()  # else it is of another aperture
+        if its_own and isinstance(stated, float) and 0 < stated <= 1:
+            shares.append(stated)
+        return min(shares)
 
     @one_thread
     def covariance(self, cadences):
         """
         Return the covariance of the corrected relative flux.
 
-        The white noise, which is independent in each cadence, and the uncertainty of systematics
-        and images, which is shared by cadences with the star in one place.
+        It holds white noise and the uncertainty of systematics and images, which is shared by
+        cadences with the star in one place.
 
         Parameters
         ----------
@@ -470,7 +515,8 @@ class PLDFit:
             raise ValueError("`cadences` must have usable pixels")
         rows = (np.cumsum(usable) - 1)[index]
         by_images = self._image_error[rows]
-        return self.solution.corrected_covariance(rows) + np.outer(by_images, by_images)
+        covariance = self.solution.systematics_covariance(rows) + np.outer(by_images, by_images)
+        return covariance + np.diag(self.solution.white_variance[rows])
 
     # Questions to the data at the fitted hyper-parameters
 
@@ -478,12 +524,10 @@ class PLDFit:
         """
         Return the part of a transit's depth that survives the whole correction.
 
-        The transit is put into the star's own light in the pixels, without that of neighbors and
-        background, and everything is done again with the same aperture and options: predicted
-        fractions, regressors, variances and time scales, outliers. Transits that repeat may
-        survive as periodic variability, deep ones as outliers. Light of other stars
-        in the aperture makes the depth smaller too. A number above 1 is a transit that the
-        correction makes deeper.
+        The transit is put into the star's own light in the pixels, and everything is done again
+        with the same aperture and options. Transits that repeat may survive as periodic
+        variability, deep ones as outliers. Light of other stars in the aperture makes the depth
+        smaller too. A number above 1 is a transit that the correction makes deeper.
 
         Parameters
         ----------
@@ -507,10 +551,9 @@ class PLDFit:
         Warns
         -----
         DetrendingWarning
-            If the survival is NaN, with the reason: no file is behind the fit, the model is
-            constant in the data, the correction fails with the transit in it, the slope is outside
-            of -0.05 to 1.15 and thus no survival, or two of its standard deviations reach from
-            nothing to all, as in series that are short or hold wild cadences.
+            If the survival is NaN, with the reason: the model is constant in the data, the
+            correction fails with the transit in it, the slope is outside of -0.05 to 1.15, or two
+            of its standard deviations reach from nothing to all, as in short or wild series.
         """
         return self._survival_of(transit_model, depth)[0]
 
@@ -518,8 +561,6 @@ class PLDFit:
     def _survival_of(self, transit_model, depth):
         """Return a survival and its standard deviation."""
         pixels = self.model.pixels
-        if self.model.source is None:
-            return no_survival("no file is behind the fit")
         flux, flux_err = self.corrected()
         with np.errstate(all="ignore"):  # as in `corrected`
             weight = flux_err / flux
@@ -556,56 +597,35 @@ class PLDFit:
     @one_thread
     def _with_signal(self, column):
         """Return the fit of the same pixels with the star's light times ``exp(column)``."""
-        model = self.model
-        source = model.source.dimmed(np.exp(column), model.clean)
+        model, source = self.model, self.model.source
+        pixels = source.dimmed(np.exp(column), model.clean)
         options = replace(model.options, fractions=self._fractions)
         with warnings.catch_warnings(action="ignore", category=DetrendingWarning):
-            again = type(model).from_pixels(
-                source.pixels, options, source.series, source.cadence_mask
-            )
-            return again.fit(
-                self.cadence_mask,
-                transit_mask=self.transit_mask,
-                transit_model=self.transit_model,
-            )
+            again = type(model).from_pixels(pixels, options, source.series, source.cadence_mask)
+            return again.fit(self.cadence_mask, self.transit_mask, self.transit_model)
 
+    @documented(fit_transit=FIT_TRANSIT)
     def fit_transit(self, transit_model):
         """
         Measure the depth of a transit with all uncertainties of the correction.
 
-        The amplitude of the model is fitted jointly with the systematics and the long-term
-        variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
-        those of ``transit_mask`` that are no outliers from the model with the transit.
-
-        Then the transit is taken out of the star's light in the pixels, and everything is
-        done again: what the fit still finds is the response of the chain, pixel fractions and
-        all. The amplitude is the one that leaves no transit in the fit. It is relative to all
-        light in the aperture, less that of neighbors that was taken off.
-
-        Parameters
-        ----------
-        transit_model : array_like or callable
-            As in `PLDCorrector.correct`.
-
-        Returns
-        -------
-        scale, error : float
-            Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
-            cadence samples the event.
-
-        Warns
-        -----
-        DetrendingWarning
-            If the transits were neither masked nor fitted jointly.
+        {fit_transit}
         """
         column = transit_column(transit_model, self.model.pixels.time)
         usable = self.model.pixels.usable
         if not column[usable].any():
             return np.nan, np.inf
-        if not self.joint:
-            warn_of_unmasked(column[usable, 0], self.cadence_mask[usable])
+        event = np.abs(column[usable, 0] - np.median(column[usable]))
+        free = self.cadence_mask[usable]
+        if not self.joint and event[free].sum() > _UNMASKED * event.sum():
+            message = (
+                "the transits were neither masked nor fitted jointly: part of their depth may be "
+                "in the variability or the systematics; `correct` with `transit_mask=` or "
+                "`transit_model=` first"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=3)
         first = fitted_depth(self, column)
-        if not np.isfinite(first).all() or self.model.source is None:
+        if not np.isfinite(first).all():
             return first
         try:
             return self._without_response(column, *first)
@@ -629,34 +649,12 @@ class PLDFit:
         return float(scale), float(error)
 
     @one_thread
+    @documented(held_out=HELD_OUT)
     def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
-        The hyper-parameters stay as they are; the coefficients and the long-term variability are
-        inferred again for each window from all others, in closed form.
-
-        Parameters
-        ----------
-        width : int, optional
-            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
-        cadences : array_like of bool, optional
-            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
-            compared on the same ones, with what each of them left out as an outlier.
-
-        Returns
-        -------
-        residual : `~numpy.ndarray`
-            Mean of measured minus predicted relative flux, per window.
-        error : `~numpy.ndarray`
-            Its expected standard deviation: noise and model.
-        used : `~numpy.ndarray`
-            Indices of the cadences, which are the windows one after the other.
-
-        Raises
-        ------
-        ValueError
-            If there are fewer cadences than two windows, or ``cadences`` cannot be used.
+        {held_out}
         """
         chosen, usable = self.used, self.model.pixels.usable
         if cadences is not None:
@@ -713,8 +711,8 @@ class PLDFit:
             rows["frequencies"] = f"{len(self.frequencies)}"
         for name, digits in (("survival", 3), ("scale", 4)):
             if f"_{name}" in vars(self):  # further corrections are not made to be shown
-                value, error = vars(self)[f"_{name}"]
-                rows[f"transit {name}"] = f"{value:.{digits}f} +- {error:.{digits}f}"
+                both = (f"{value:.{digits}f}" for value in vars(self)[f"_{name}"])
+                rows[f"transit {name}"] = " +- ".join(both)
         parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
         used = {name: f"{used:.1f} of {n} parameters" for name, n, used in parts if round(used, 1)}
         return rows | used

@@ -5,7 +5,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from scope_models.correctors._periodic import FAST, find_rotation, find_waves
+from scope_models.correctors._periodic import (
+    FAST,
+    find_rotation,
+    find_waves,
+    short_changes,
+    with_edges,
+)
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -13,17 +19,15 @@ from scope_models.correctors._regression import (
     Posterior,
     fit_hyperparameters,
 )
-from scope_models.correctors._short import short_changes, with_edges
+from scope_models.pixelmodel._smooth import NO_WEIGHT
 
-__all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
+__all__ = ["NothingToCorrectError", "Solution", "fit"]
 
-#: Tolerance: factor of the variance of cadences that have next to no weight.
-_NO_WEIGHT = 1e6
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
 #: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
-NOISE_ERROR = 0.16
+_NOISE_ERROR = 0.16
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
 #: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
@@ -60,18 +64,20 @@ class Solution:
     use: np.ndarray  # cadences in the fit
     short: np.ndarray  # cadences of short changes, which are left out of it
     regressors: object  # for all usable cadences
-    flat: np.ndarray  # columns with flat priors (n, m): constant, trend, transit
-    scale: np.ndarray  # what the flat columns were divided by
+    flat: np.ndarray  # columns with flat priors (n, m): variability, short changes, transit
     hyper: Hyperparameters
     n_trend: int = 1  # flat columns that are constant and variability
     frequencies: tuple = ()  # of the last columns of the variability, a cosine and a sine each, 1/d
     n_short: int = 0  # the next flat columns are short changes
     improbability: float = 0.0  # minus the logarithm of the prior of their parameters
     predicted: bool = False  # whether the fractions are
+    scale: float = 1.0  # what the transit was divided by
 
     @cached_property
     def data(self):
-        use = self.use
+        use, names = self.use, self.regressors.names
+        known = _EXPECTED if self.predicted else _MEASURED
+        walks = self.predicted and self.hyper and self.hyper.walk  # which noise resembles
         return Data(
             self.time[use],
             self.y[use],
@@ -79,22 +85,14 @@ class Solution:
             np.concatenate([self.regressors.columns[use], self.flat[use]], axis=1),
             self.regressors.groups,
             self.flat.shape[1],
-            **self._expectations,
+            expected=np.square([known.get(name, np.nan) for name in names]),
+            most=np.square([_MOST.get(name, 1e9) for name in names]),
+            noise_error=_NOISE_ERROR if walks else np.inf,
         )
-
-    @property
-    def _expectations(self):
-        known = _EXPECTED if self.predicted else _MEASURED
-        expected = [known.get(name, np.nan) for name in self.regressors.names]
-        most = [_MOST.get(name, 1e9) for name in self.regressors.names]
-        found = {"expected": np.square(expected), "most": np.square(most)}
-        if self.predicted and self.hyper and self.hyper.walk:  # which noise resembles
-            found["noise_error"] = NOISE_ERROR
-        return found
 
     @cached_property
     def process(self):
-        return self.hyper.process(self.data.time, self.data.variance)
+        return self.hyper.process(self.data)
 
     @cached_property
     def whitened(self):
@@ -115,7 +113,7 @@ class Solution:
 
     @cached_property
     def solved(self):
-        """The columns multiplied with the inverse covariance of noise and trend."""
+        """Columns multiplied with the inverse covariance of noise and trend."""
         return self.process.solve_whitened(self.whitened[:, :-1])
 
     @cached_property
@@ -126,17 +124,20 @@ class Solution:
 
     @cached_property
     def systematics(self):
-        k = self.n_regressors
-        return self.regressors.columns @ self.posterior.mean[:k]
+        return self.regressors.columns @ self.posterior.mean[: self.n_regressors]
+
+    def systematics_covariance(self, rows):
+        """Return the covariance of systematics at rows of the usable cadences."""
+        x, k = self.regressors.columns[rows], self.n_regressors
+        return x @ self.posterior.covariance[:k, :k] @ x.T
 
     @cached_property
     def systematics_variance(self):
-        k = self.n_regressors
-        x = self.regressors.columns
+        x, k = self.regressors.columns, self.n_regressors
         return np.einsum("ij,ij->i", x @ self.posterior.covariance[:k, :k], x)
 
     def products(self, columns):
-        """Return C^T Q C of columns with the inverse covariance Q of everything."""
+        """Return C^T Q C of columns C with the inverse covariance Q of everything."""
         columns = self.process.whiten(columns)
         return columns.T @ columns + self.posterior.left(self.whitened[:, :-1].T @ columns)
 
@@ -158,10 +159,13 @@ class Solution:
     @cached_property
     def trend(self):
         """The long-term variability, without its mean."""
-        trend = self._flat_part(1, self._first_periodic)
-        if self.hyper.amplitude is not None:
-            trend = trend + self.process.predict(self.alpha, self.time)
+        trend = self._flat_part(1, self._first_periodic) + self._slow
         return trend - trend[self.use].mean()
+
+    @cached_property
+    def _slow(self):
+        """The long-term process."""
+        return self.process.predict(self.alpha, self.time)
 
     @cached_property
     def periodic(self):
@@ -173,35 +177,20 @@ class Solution:
     def white_variance(self):
         return self.hyper.noise_scale * self.variance
 
-    def corrected_covariance(self, rows):
-        """Covariance of the corrected logarithm of the flux at rows of the usable cadences."""
-        k = self.n_regressors
-        x = self.regressors.columns[rows]
-        covariance = x @ self.posterior.covariance[:k, :k] @ x.T
-        covariance.flat[:: len(rows) + 1] += self.white_variance[rows]
-        return covariance
+    def held_out(self, width, cadences):
+        """Predict each window of some cadences, at least all in use, from all others in use.
 
-    def blocks(self, starts, width):
-        """Blocks of the inverse covariance of everything, for windows of cadences in use."""
-        inverse = self.process.inverse_blocks(starts, width)
-        x = self.solved[starts[:, None] + np.arange(width)]
-        return inverse - (x @ self.posterior.covariance) @ x.transpose(0, 2, 1)
-
-    def held_out(self, width, cadences=None):
-        """Predict each window of ``width`` cadences from all others that are in use.
-
-        The ``cadences`` in the windows, what remains at the end left out, are by default those in
-        use, and at least these. Returns measured less predicted, ``(n_windows, width)``, and the
-        expected covariance, ``(n_windows, width, width)``.
+        Return measured less predicted, ``(n_windows, width)``, and the expected covariance.
         """
-        cadences = self.use if cadences is None else cadences
         whole = self._with_weights(cadences)
         starts = np.arange(len(whole.alpha) // width) * width
-        covariance = np.linalg.inv(whole.blocks(starts, width))
-        alpha = whole.alpha[: len(starts) * width].reshape(-1, width, 1)
-        rest = (covariance @ alpha)[:, :, 0]
-        more = (whole.white_variance - self.white_variance)[cadences][: len(starts) * width]
-        np.einsum("ijj->ij", covariance)[:] -= more.reshape(-1, width)
+        windows = starts[:, None] + np.arange(width)
+        x, inverse = whole.solved[windows], whole.process.inverse_blocks(starts, width)
+        inverse -= (x @ whole.posterior.covariance) @ x.transpose(0, 2, 1)
+        covariance = np.linalg.inv(inverse)
+        rest = (covariance @ whole.alpha[windows, None])[:, :, 0]
+        more = (whole.white_variance - self.white_variance)[cadences]
+        np.einsum("ijj->ij", covariance)[:] -= more[windows]
         return rest, covariance
 
     @property
@@ -212,15 +201,13 @@ class Solution:
     @property
     def pulls(self):
         """What the model leaves at all usable cadences, in errors of noise and systematics."""
-        rest = self.unexplained
-        if self.hyper.amplitude is not None:
-            rest = rest - self.process.predict(self.alpha, self.time)
+        rest = self.unexplained - self._slow
         return rest / np.sqrt(self.white_variance + self.systematics_variance)
 
     def deviations(self, cadences):
-        """Return what cadences differ by from predictions of all others that are in use.
+        """Return deviations of cadences, at least all in use, from predictions of others in use.
 
-        In standard deviations; the cadences are at least those in use.
+        The unit is their standard deviation.
         """
         whole = self._with_weights(cadences)
         expected = 1 / np.maximum(whole.precision, 1e-300)
@@ -232,7 +219,7 @@ class Solution:
         """Return the same model of more cadences, of which those not in use have no weight."""
         if (cadences == self.use).all():
             return self
-        variance = np.where(self.use, self.variance, _NO_WEIGHT * self.variance)
+        variance = np.where(self.use, self.variance, self.variance / NO_WEIGHT)
         return replace(self, variance=variance, use=cadences)
 
     def without_outliers(self, options):
@@ -252,7 +239,7 @@ class Solution:
     def with_returned(self, allowed, options):
         """Take back allowed cadences that only seemed to be outliers beside others.
 
-        Those that are outliers beside each other are left out again, the farther half at a time.
+        Those that still are outliers are left out again, the farther half at a time.
         """
         deviations = np.abs(self.deviations(allowed))
         limit = 1.4826 * options.sigma * np.median(deviations[self.use[allowed]])
@@ -280,54 +267,48 @@ class Solution:
 
     def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
-        n, scale = self.n_trend, np.abs(column).max(axis=0)
-        flat = np.concatenate([self.flat[:, :n], column / scale], axis=1)
-        scale = np.append(self.scale[:n], scale)
+        scale = np.abs(column).max()
+        flat = np.concatenate([self.flat[:, : self.n_trend], column / scale], axis=1)
         return replace(self, flat=flat, scale=scale, use=use, n_short=0)
 
     def with_short(self, columns):
-        """Return the same model with columns of short changes, as large as the data's."""
-        columns = columns / np.sqrt(FLAT)
-        return self.with_more(columns, self.use, n_short=columns.shape[1])
+        """Return the same model with columns of short changes."""
+        return self._with_more(columns, n_short=columns.shape[1])
 
     def without_short(self, allowed):
         """Return the model, not fitted, of allowed cadences that are in no short change."""
         columns = slice(self.n_trend, self.n_trend + self.n_short)
         short = with_edges(self.time, self.flat[:, columns].any(axis=1))
-        flat, scale = (np.delete(values, columns, axis=-1) for values in (self.flat, self.scale))
-        changed = {"flat": flat, "scale": scale, "n_short": 0, "short": short, "hyper": None}
-        return replace(self, use=allowed & ~short, **changed)
+        flat = np.delete(self.flat, columns, axis=1)
+        return replace(self, flat=flat, n_short=0, short=short, hyper=None, use=allowed & ~short)
 
     def with_waves(self, waves, use):
-        """Return the same model with periodic variability, as large as the data's."""
-        columns = waves.columns(self.time) / np.sqrt(FLAT)
-        frequencies = (*self.frequencies, *map(float, waves.frequencies))
-        changes = {"frequencies": frequencies, "improbability": waves.improbability(use.sum())}
-        return self.with_more(columns, use, n_trend=self.n_trend + columns.shape[1], **changes)
+        """Return the same model with periodic variability and other cadences."""
+        columns = waves.columns(self.time)
+        return self._with_more(
+            columns,
+            use=use,
+            n_trend=self.n_trend + columns.shape[1],
+            frequencies=(*self.frequencies, *map(float, waves.frequencies)),
+            improbability=waves.improbability(use.sum()),
+        )
 
-    def with_more(self, columns, use, **changes):
-        """Return the same model with more columns after the trend's, and other cadences."""
-        n, ones = self.n_trend, np.ones(columns.shape[1])
+    def _with_more(self, columns, **changes):
+        """Return the same model with more columns after the trend's, as large as the data's."""
+        columns, n = columns / np.sqrt(FLAT), self.n_trend
         flat = np.concatenate([self.flat[:, :n], columns, self.flat[:, n:]], axis=1)
-        scale = np.concatenate([self.scale[:n], ones, self.scale[n:]])
-        return replace(self, flat=flat, scale=scale, use=use, **changes)
+        return replace(self, flat=flat, **changes)
 
-    def flat_coefficient(self, index):
-        """Return the coefficient of a flat column and its standard deviation."""
-        index = index + self.flat.shape[1] if index < 0 else index
-        k = self.n_regressors + index
-        error = np.sqrt(self.posterior.covariance[k, k])
-        return float(self.posterior.mean[k] / self.scale[index]), float(error / self.scale[index])
+    def transit_coefficient(self):
+        """Return the coefficient of the last column, a transit's, and its standard deviation."""
+        error = np.sqrt(self.posterior.covariance[-1, -1])
+        return float(self.posterior.mean[-1] / self.scale), float(error / self.scale)
 
     def group_variances(self):
         """Return, per group, the variance of its part of the model in the cadences in use."""
-        groups, mean = self.regressors.groups, self.posterior.mean
-        x = self.regressors.columns[self.use]
-        parts = [
-            x[:, groups == g] @ mean[: len(groups)][groups == g]
-            for g in range(groups.max(initial=-1) + 1)
-        ]
-        return [float(np.var(part)) for part in parts]
+        parts = self.regressors.columns[self.use] * self.posterior.mean[: self.n_regressors]
+        member = self.regressors.groups[:, None] == np.arange(self.data.n_groups)
+        return np.var(parts @ member, axis=0)
 
     def effective_parameters(self):
         """Return, per group, the number of parameters that the data determine."""
@@ -335,55 +316,63 @@ class Solution:
         return np.bincount(self.regressors.groups, used)
 
 
-def fit(make_regressors, time, y, variance, use, flat_columns, options, *, predicted=False):
+def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=False):
     """Fit, and leave out outliers until there are none.
 
     If the star has frequencies, the fit is made again with columns for them, and the more likely
     one is returned. ``make_regressors`` takes the mask of cadences in use, ``use`` are those that
-    may be; ``flat_columns``, ``(n, m)``, hold a transit or none.
+    may be; ``transit`` has a column ``(n, 1)`` or none.
     """
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
         raise NothingToCorrectError("the pixel fractions do not vary")
     time = time - time[use][0]
-    flat, scale = _flat_columns(time, flat_columns, options.n_trend)
-    y = y - y[use].mean()
-    data = time, y, variance, use, np.zeros_like(use)
-    first = Solution(*data, regressors, flat, scale, None, options.n_trend, predicted=predicted)
+    trend = np.vander(time / max(time[-1], 1e-9), options.n_trend, increasing=True)
+    flat = np.concatenate([trend, transit], axis=1)
+    scale = np.abs(flat).max(axis=0)
+    first = Solution(
+        time, y - y[use].mean(), variance, use, np.zeros_like(use), regressors, flat / scale, None,
+        options.n_trend, predicted=predicted, scale=scale[-1],
+    )  # fmt: skip
+    fitted = partial(_without_outliers, make_regressors=make_regressors, options=options)
+    if options.trend == "gp":
+        solution = _with_variability(first, fitted, use, search_short=options.max_clips > 0)
+    else:
+        solution = fitted(first)
+    return solution.with_returned(use & ~solution.short, options)
+
+
+def _with_variability(first, fitted, use, *, search_short):
+    """Return the likeliest fit of a Gaussian process, with periodic variability or without."""
+    evidence = partial(_evidence, allowed=use)
 
     def likeliest(first):
         """Return a fit, and one with short changes if that is more likely."""
-        plain = _without_outliers(first, make_regressors, options)
-        if options.trend != "gp" or not options.max_clips:
-            return plain
-        columns = short_changes(plain)
+        plain = fitted(first)
+        columns = short_changes(plain) if search_short else np.empty((0, 0))
         if not columns.shape[1]:
             return plain
-        other = _without_outliers(first.with_short(columns), make_regressors, options)
-        return max(plain, other, key=evidence)
+        return max(plain, fitted(first.with_short(columns)), key=evidence)
 
-    evidence = partial(_evidence, allowed=use)
     solution = likeliest(first)
-    if options.trend == "gp":
-        waves = find_waves(solution, use)
-        if len(waves.frequencies):
-            periodic = likeliest(first.with_waves(waves, use))
-            likely = max(solution, periodic, key=evidence)
-            if not likely.is_fast:
-                rotation = find_rotation(solution, periodic.unexplained)
-                rotating = likeliest(first.with_waves(rotation, use))
-                likely = max(likely, rotating, key=evidence)
-            solution = likely
+    waves = find_waves(solution, use)
+    if len(waves.frequencies):
+        periodic = likeliest(first.with_waves(waves, use))
+        likely = max(solution, periodic, key=evidence)
+        if not likely.is_fast:
+            rotation = find_rotation(solution, periodic.unexplained)
+            likely = max(likely, likeliest(first.with_waves(rotation, use)), key=evidence)
+        solution = likely
     if solution.n_short:  # its shape is not learned from
         solution = solution.without_short(use)
         use = solution.use
-        solution = _without_outliers(solution, make_regressors, options)
-    if options.trend == "gp" and np.log(solution.hyper.noise_scale) > NOISE_ERROR:
-        walk = solution.hyper.noise_scale * np.median(variance)
-        walking = replace(solution, use=use, hyper=replace(solution.hyper, walk=walk))
-        walking = _without_outliers(walking, make_regressors, options)
-        solution = max(solution, walking, key=lambda s: _evidence(s, use))
-    return solution.with_returned(use, options)
+        solution = fitted(solution)
+    scale = solution.hyper.noise_scale
+    if np.log(scale) > _NOISE_ERROR:
+        hyper = replace(solution.hyper, walk=scale * np.median(solution.variance))
+        walking = fitted(replace(solution, use=use, hyper=hyper))
+        solution = max(solution, walking, key=partial(_evidence, allowed=use))
+    return solution
 
 
 def _without_outliers(solution, make_regressors, options):
@@ -405,20 +394,11 @@ def _without_outliers(solution, make_regressors, options):
 def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
-    What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too
-    little.
+    Noise beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - solution.improbability
     value -= n_outliers * np.log(np.ptp(solution.y[allowed]))
     if solution.predicted:
-        value -= 0.5 * (np.log(solution.hyper.noise_scale) / NOISE_ERROR) ** 2
+        value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
     return value
-
-
-def _flat_columns(time, extra, n_trend):
-    x = time / max(time[-1], 1e-9)
-    columns = np.stack([x**k for k in range(n_trend)], axis=1)
-    columns = np.concatenate([columns, extra], axis=1)
-    scale = np.abs(columns).max(axis=0)
-    return columns / scale, scale

@@ -42,8 +42,8 @@ class ComparisonResult:
         One row per corrector: ``corrector``, the ``aperture``, the CDPP of 6.5 h in both
         conventions, ``held_out`` (mean size of the residuals of windows of 6.5 h that the model
         has not seen, the same for all, without the largest tenth), ``held_out_pull`` (their rms in
-        units of the expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h
-        that is left) and the time that it took. NaN where a corrector does not provide a number.
+        units of the expected errors), ``transit_survival`` (part of an unmasked transit that is
+        left) and the time that it took. NaN where a corrector does not provide a number.
     light_curves : dict
         `~lightkurve.LightCurve` by corrector, on the same cadences.
     correctors : dict
@@ -152,38 +152,35 @@ def compare_correctors(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", DetrendingWarning)
             try:
-                found, lc = _corrected(name, tpf, pld, aperture_mask, options)
+                objects[name], curves[name] = _corrected(name, tpf, pld, aperture_mask, options)
+                rows[name] = {"seconds": clock.perf_counter() - begin}
             except (ValueError, np.linalg.LinAlgError) as error:
-                found, lc = None, None
                 warnings.warn(f"fails: {error}", DetrendingWarning, stacklevel=2)
-        _pass_on(caught, name)
-        if lc is None:
-            continue
-        rows[name] = {
-            "seconds": clock.perf_counter() - begin,
-            "aperture": f"{pld.aperture_mask.sum()} pixels",
-        }
-        curves[name] = lc
-        if found is not None:
-            objects[name] = found
+        for warning in caught:
+            if issubclass(warning.category, DetrendingWarning):
+                warnings.warn(f"{name}: {warning.message}", DetrendingWarning, stacklevel=2)
     if not curves:
         raise ValueError("none of `correctors` could correct the file")
     common = np.all([np.isfinite(lc.flux.value) for lc in curves.values()], axis=0)
     common &= ~checked_cadences("transit_mask", transit_mask, len(common), default=False)
     windows = common & checked_cadences("cadence_mask", cadence_mask, len(common), default=True)
-    models = {
-        name: found
-        for name, found in objects.items()
-        if isinstance(found, PLDCorrector) and found.result
-    }
-    held_out = _held_out(models, windows)
-    for name, lc in curves.items():
-        if name in models:
-            rows[name]["transit_survival"] = models[name].result.transit_survival
-            rows[name].update(held_out.get(name, {}))
-        for method in ("lightkurve", "everest"):
-            rows[name][f"cdpp_{method}"] = cdpp(lc[common], method=method)
-    return ComparisonResult(_table(rows), curves, objects)
+    objects = {name: found for name, found in objects.items() if found is not None}
+    models = {k: found for k, found in objects.items() if k != "lightkurve" and found.result}
+    for name, scores in _held_out(models, windows).items():
+        rows[name] |= scores
+    for name, found in models.items():
+        rows[name]["transit_survival"] = found.result.transit_survival
+    table = QTable({"corrector": list(rows)})
+    table["aperture"] = [f"{pld.aperture_mask.sum()} pixels"] * len(rows)
+    for name, unit in _COLUMNS.items():
+        if name.startswith("cdpp"):
+            method = name.removeprefix("cdpp_")
+            values = [cdpp(lc[common], method=method) for lc in curves.values()]
+        else:
+            values = [row.get(name, np.nan) for row in rows.values()]
+        table[name] = values if unit is None else u.Quantity(values, unit)
+        table[name].info.format = ".1f" if unit else ".3f"
+    return ComparisonResult(table, curves, objects)
 
 
 def _corrected(name, tpf, pld, aperture_mask, options):
@@ -234,19 +231,3 @@ def _held_out(models, cadences):
         }
         for name, (residual, error) in found.items()
     }
-
-
-def _pass_on(caught, name):
-    for warning in caught:
-        if issubclass(warning.category, DetrendingWarning):
-            warnings.warn(f"{name}: {warning.message}", DetrendingWarning, stacklevel=3)
-
-
-def _table(rows):
-    """Return the rows as a table with units."""
-    table = QTable({"corrector": list(rows), "aperture": [r["aperture"] for r in rows.values()]})
-    for name, unit in _COLUMNS.items():
-        values = np.array([row.get(name, np.nan) for row in rows.values()], dtype=float)
-        table[name] = values if unit is None else u.Quantity(values, unit)
-        table[name].info.format = ".1f" if unit else ".3f"
-    return table

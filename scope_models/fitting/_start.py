@@ -21,7 +21,7 @@ from scope_models.io.pixels import (
     target_place,
     usable_positions,
 )
-from scope_models.pixelmodel._position import COORDINATES, nearness
+from scope_models.pixelmodel._smooth import COORDINATES, nearness
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",

@@ -1,7 +1,5 @@
 r"""Pixel fractions that neither the star's brightness nor photon noise can move.
 
-Measured fractions of a pixel follow the star when there is other light in the aperture, and they
-hold the same photon noise as the flux that they are to explain. Here the fractions are predicted.
 In cadence t the light of pixel p is
 
 .. math::
@@ -16,15 +14,15 @@ likely one (MacKay 1992, Neural Computation, 4, 415). W is expected to be what f
 as the PSF widens. Images and cadences are fitted in turn. The noise of a pixel is that of its light
 in each cadence, what the model misses in it, and what is uncertain in the images; cadences in which
 pixels fall short of the model by more than this have more, and less weight in the images (Huber's).
-The light is the sum over the aperture; what this model misses in each pixel shows how it errs.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 from scipy.linalg import solveh_banded
 
-from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
+from scope_models.pixelmodel._smooth import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
 __all__ = ["IMAGE_ERROR", "MISFIT", "StarModel", "fit_star"]
@@ -129,50 +127,21 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
              full=None):  # fmt: skip
     """Predict the pixel fractions of a star.
 
-    Parameters
-    ----------
-    time : ndarray
-        Days, ``(n,)``.
-    flux, flux_err : ndarray
-        All pixels with data, ``(n, n_pixels)``, e-/s.
-    position : ndarray
-        POS_CORR ``(n, 2)``, columns and rows, px; NaN where unknown.
-    grid : ndarray
-        Column and row of each pixel ``(n_pixels, 2)``.
-    aperture : ndarray of bool
-        Pixels that are summed.
-    use : ndarray of bool, optional
-        Cadences from which everything that they share is learned, ``(n,)``; by default all.
-    banded : ndarray of bool, optional
-        Cadences with waves in the background along the rows, ``(n,)``; by default none.
-    full : ndarray of bool, optional
-        Pixels of columns in which charge has bled, ``(n_pixels,)``; by default none.
-
-    Returns
-    -------
-    StarModel or None
-        The result; None if the star has more places than so few cadences can show images of.
+    Times are in days, ``flux`` and ``flux_err`` in e-/s, ``(n, n_pixels)``, of pixels with data at
+    columns and rows of a ``grid``, ``(n_pixels, 2)``; ``position`` is POS_CORR in px, ``(n, 2)``,
+    NaN where unknown. What cadences share is learned from those in ``use``, by default all;
+    ``banded`` ones have waves in the background along the rows. Charge has bled in columns that are
+    ``full``. Return a `StarModel`; None if there are more places than so few cadences show.
     """
     stamp, states = make_stamp(time, flux, flux_err, position, grid, aperture, use, banded, full)
     _, basis, coarse = stamp.functions(states.position)
     if basis.shape[1] + 2 * coarse.shape[1] > _MOST_OWN * stamp.use.sum():
         return None
-    states, shape, images = _converged(stamp, states)
-    return _result(stamp, states, images, flux_err, shape.error)
-
-
-def _converged(stamp, states):
-    """Fit images and cadences by turns; return states, shape and images.
-
-    If no light is seen that is constant beside a star that varies strongly, there is none, but for
-    a trace that positions must not follow.
-    """
-    states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES))
-    images = _images(stamp, states, shape, stamp.functions(states.position))
+    states, shape, images = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES))
     if states.variable.any() and not _constant_light(stamp, images, shape.error):
-        states, shape = _by_turns(stamp, states, shape, images, alone=True)
-        images = _images(stamp, states, shape, stamp.functions(states.position))
-    return states, shape, images
+        # none is seen, and there is none but for a trace that positions must not follow
+        states, shape, images = _by_turns(stamp, states, shape, images, alone=True)
+    return _result(stamp, states, images, flux_err, shape.error)
 
 
 def _by_turns(stamp, states, shape, images=None, *, alone=False):
@@ -184,24 +153,16 @@ def _by_turns(stamp, states, shape, images=None, *, alone=False):
         if shape.changes:
             states, shape, images = _with_unit(stamp, states, shape, images)
         states, errors = _fit_states(stamp, states, shape, images, functions)
-        moved = [
-            np.abs(new - old) / error
-            for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
-        ]
-        if shape.changes and (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all():
+        moved = np.abs(states.courses - before.courses) / errors
+        if shape.changes and (quantile(moved[:, stamp.use]) < _SMALL_STEPS).all():
             break
-    return states, shape
-
-
-def _courses(states):
-    return states.brightness, *states.position.T, states.focus
+    return states, shape, _images(stamp, states, shape, stamp.functions(states.position))
 
 
 def _fit_shape(stamp, states, shape, images, functions, *, alone=False):
     """Fit the functions of position of all pixels at once: ridge regression.
 
-    Once there are images of the star, what flows into its pixels as the PSF widens is the
-    expectation of those of the width.
+    Those of the width are expected to be what flows into the pixels as the PSF widens.
     """
     _, basis, coarse = functions
     a, w = states.brightness[:, None], states.focus[:, None]
@@ -270,10 +231,7 @@ def _images(stamp, states, shape, functions):
 
 
 def _with_unit(stamp, states, shape, images):
-    """Give the focus the unit of a relative width, of which the flow into the pixels is known.
-
-    Returned are states, shape and images.
-    """
+    """Give the focus the unit of a relative width, of which the flow into the pixels is known."""
     fitted, wider = (each[stamp.use].mean(axis=0) for each in (images.slopes[2], images.wider))
     # in the wings the flow is less certain
     weight = np.abs(wider) / np.sqrt(states.variance[stamp.use].mean(axis=0))
@@ -310,20 +268,15 @@ def _fit_states(stamp, states, shape, images, functions):
     level = np.abs(states.plane[use, 0] - stamp.base[0])
     tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
     tilt, flat = np.maximum(stamp.waves, tilt) ** -2.0, np.maximum(stamp.waves, 1e-9) ** -2.0
-    back = stamp.expected - states.position
     # a cadence may have outliers in all pixels: steps are of the size of the star's light
-    priors = [
-        (0, 1.0, 0.0),
-        (1, stamp.place, back[:, 0]),
-        (2, stamp.place, back[:, 1]),
-        (3, _WIDTH_PRIOR**-2, -states.focus),
-        (4, 1.0, 0.0),
-    ]
-    more = (stamp.base - states.plane).T[1:]
-    priors += [(5 + k, tilt if k < 2 else flat, distance) for k, distance in enumerate(more)]
-    for k, weight, distance in priors:
-        hessian[k, k] += weight
-        right[k] += weight * distance
+    weight, distance = np.ones_like(right), np.zeros_like(right)
+    weight[1:3] = np.where(stamp.known, POSITION_PRIOR**-2, 1e-2)
+    distance[1:3] = (stamp.expected - states.position).T
+    weight[3], distance[3] = _WIDTH_PRIOR**-2, -states.focus
+    weight[5:7], weight[7:] = tilt, flat
+    distance[5:] = (stamp.base - states.plane).T[1:]
+    hessian[np.diag_indices(len(right))] += weight
+    right += weight * distance
     change, factor = _solved(hessian, right)
     change[:4] = np.clip(change[:4], -_LARGEST, _LARGEST)
     error = np.sqrt(np.einsum("jin,jin->in", factor, factor))
@@ -355,18 +308,17 @@ def _without_hits(stamp, states, images, rest, noise):
 
     Cosmic rays exceed the model in one cadence only, by more than other pixels fall short of it.
     Where these do so by more than noise can, as in a jump within an exposure, the noise of all
-    pixels is as large. Cadences that are not in use have no influence on those that are.
+    pixels is as large. Cadences not in use have no influence on others.
     """
-
-    def beside(hot):
-        seen = np.pad(hot, ((1, 1), (0, 0)))
-        return seen[:-2] | seen[2:]
-
+    beside = [[1], [0], [1]]
     error = noise + MISFIT * (np.abs(images.whole) + IMAGE_ERROR)
     size, use = rest / error, stamp.use[:, None]
     missing = np.sqrt(np.sum(np.where(size < -CLIP, size, 0.0) ** 2, axis=1, keepdims=True))
     hot = size > np.maximum(missing, CLIP)
-    good, poor = ~hot | np.where(use, beside(hot & use), beside(hot)), missing > CLIP
+    before_or_after = np.where(
+        use, ndimage.binary_dilation(hot & use, beside), ndimage.binary_dilation(hot, beside)
+    )
+    good, poor = ~hot | before_or_after, missing > CLIP
     states = replace(states, good=good, noisy=np.where(poor, missing, 1.0))
     return states, np.where(poor, missing * error, noise)
 
@@ -449,9 +401,8 @@ def _without_other_causes(stamp, focus, error, position, variable, states):
     """Return the focus without what positions and brightness explain.
 
     A width that follows the position may as well be in the images. Of all courses that differ by
-    this, the most likely one is taken, of a random walk with the changes that the focus had in
-    these ``states`` and noise of this ``error``: a slow drift of both is no reason why the focus
-    should follow the roll.
+    this, the most likely one is taken, of a random walk with the changes that the focus had before
+    and noise: a slow drift of both is no reason why the focus should follow the roll.
     """
     use = stamp.use
     count, weight = use.sum(), states.noisy[use, 0] ** -2
@@ -535,8 +486,8 @@ def _result(stamp, states, images, flux_err, image_error):
 def _solved(hessian, right):
     """Solve many small systems at once by Cholesky factors.
 
-    Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
-    ``(k, n)``. Returned are the solution and the inverse of the lower factor, ``(k, k, n)``.
+    Of the Hessian ``(k, k, n)`` the lower triangle is used; the right side is ``(k, n)``. Return
+    the solution and the inverse of the lower factor, ``(k, k, n)``.
     """
     inverse = np.zeros_like(hessian)  # of the factor
     for i in range(len(right)):

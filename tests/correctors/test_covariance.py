@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._covariance import FORGOTTEN, Covariance, Noise
+from scope_models.correctors._regression import FORGOTTEN, Covariance
 
 AMPLITUDE, PERIOD, WALK = 2.3, 1.7, 0.4
 
@@ -29,7 +29,7 @@ def both(request, problem):
     """Return the object under test and the dense matrix."""
     time, variance, _ = problem
     if request.param == "noise":
-        return Noise(variance), np.diag(variance)
+        return Covariance(time, variance, 0.0, PERIOD), np.diag(variance)
     dense = kernel(time, time) + np.diag(variance)
     return Covariance(time, variance, AMPLITUDE, PERIOD, WALK), dense
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.correctors._crowd import WIDTH, Crowd, CrowdPixels, learn, track
+from scope_models.correctors._neighbors import WIDTH, Crowd, CrowdPixels, learn, track
 from scope_models.models import PRF, BivariateGaussianPSF
 
 SHAPE, N = (9, 11), 300

@@ -10,7 +10,7 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, _fractions, _model
+from scope_models.correctors import PLDCorrector, _model
 from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
@@ -41,8 +41,9 @@ def test_predicted_fractions_hold_no_noise(star):
     """Fractions from the same place agree, and the fitted noise is at most that of FLUX_ERR."""
     series = read_pixels(star.tpf)
     pixels = aperture_pixels(series, np.ones((9, 9), dtype=bool))
+    cadences = np.ones(len(series), dtype=bool)
     predicted, measured = (
-        PLDModel.from_pixels(pixels, Settings(fractions=f), series)
+        PLDModel.from_pixels(pixels, Settings(fractions=f), series, cadences)
         for f in ("predicted", "measured")
     )
     rough = [
@@ -50,7 +51,8 @@ def test_predicted_fractions_hold_no_noise(star):
         for m in (predicted, measured)
     ]
     assert rough[0] < rough[1]
-    assert 0.5 < predicted.fit().noise_scale < 1.05  # 0.61: that of the best weights
+    fitted = predicted.fit(cadences, ~cadences)
+    assert 0.5 < fitted.noise_scale < 1.05  # 0.61: that of the best weights
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -218,7 +220,7 @@ def test_a_model_without_numbers_is_replaced_with_a_warning(star, monkeypatch):
     def failing(*_, **__):
         raise ValueError("array must not contain infs or NaNs")
 
-    monkeypatch.setattr(_fractions, "fit_star", failing)
+    monkeypatch.setattr(_model, "fit_star", failing)
     corrector = PLDCorrector(star.tpf)
     with pytest.warns(DetrendingWarning, match="the model of the pixels fails"):
         lc = corrector.correct()
@@ -236,7 +238,7 @@ def test_pixels_without_data_show_nothing(star, known, predicted):
     mask = np.zeros(flux.shape[1:], dtype=bool)
     mask.flat[order[:4]] = True
     pixels = aperture_pixels(series.replace(flux=flux), mask)
-    assert _fractions.can_predict(pixels, None, pixels.usable) == predicted
+    assert _model.can_predict(pixels, None, pixels.usable) == predicted
 
 
 def test_an_aperture_is_not_chosen_by_few_positions():

@@ -7,8 +7,7 @@ import pytest
 
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._injection import box_signal
-from scope_models.correctors._stars import star_share, stars_of
+from scope_models.correctors._light import box_signal, star_share, stars_of
 from scope_models.exceptions import DetrendingWarning
 
 NOISY = pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -44,7 +43,7 @@ def test_cadences_that_a_dip_leaves_without_light_are_not_used(fake_star):
     corrector.correct()
     signal = np.ones(400)
     signal[50] = -0.1
-    pixels = corrector.model.source.dimmed(signal, corrector.model.clean).pixels
+    pixels = corrector.model.source.dimmed(signal, corrector.model.clean)
     assert np.flatnonzero(~pixels.usable).tolist() == [50]
 
 

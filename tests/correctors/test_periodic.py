@@ -7,7 +7,7 @@ import pytest
 
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions
-from scope_models.correctors._features import Regressors
+from scope_models.correctors._model import Regressors
 from scope_models.correctors._periodic import _Rotation, _Waves, find_rotation, find_waves
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution, fit
@@ -32,7 +32,6 @@ def make_solution(y, noise=1e-4):
         np.zeros(n, bool),
         regressors,
         flat,
-        np.ones(1),
         hyper,
     )
 

@@ -7,20 +7,22 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from scope_models.correctors import _regression
-from scope_models.correctors._covariance import FORGOTTEN, Covariance
-from scope_models.correctors._features import Regressors
-from scope_models.correctors._model import Settings
+from scope_models.correctors._model import Regressors, Settings
 from scope_models.correctors._regression import (
+    FORGOTTEN,
     Data,
     Hyperparameters,
     fit_hyperparameters,
-    log_likelihood,
 )
 from scope_models.correctors._solution import Solution, fit
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 N = 90
+
+
+def log_likelihood(data, hyper):
+    return _regression.log_likelihood(data, hyper)[0]
 
 
 def flat_variance(data):
@@ -31,11 +33,10 @@ def flat_variance(data):
 def dense_covariance(data, hyper):
     """Return the covariance of the data, from its definition."""
     dense = np.diag(hyper.noise_scale * data.variance)
-    if hyper.amplitude is not None:
-        w = np.sqrt(2) * np.pi / hyper.period
-        tau = np.abs(data.time[:, None] - data.time)
-        dense += hyper.amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
-        dense += hyper.walk * FORGOTTEN * np.exp(-tau / FORGOTTEN)
+    w = np.sqrt(2) * np.pi / hyper.period
+    tau = np.abs(data.time[:, None] - data.time)
+    dense += hyper.amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
+    dense += hyper.walk * FORGOTTEN * np.exp(-tau / FORGOTTEN)
     prior = np.append(hyper.variances[data.groups], np.full(data.n_flat, flat_variance(data)))
     return dense + data.columns * prior @ data.columns.T
 
@@ -53,8 +54,7 @@ def data():
 
 @pytest.fixture(params=["gp", "none"])
 def hyper(request):
-    amplitude = 0.7 if request.param == "gp" else None
-    walk = 0.3 if request.param == "gp" else 0.0
+    amplitude, walk = (0.7, 0.3) if request.param == "gp" else (0.0, 0.0)
     return Hyperparameters(1.3, np.array([3.0, 0.2]), amplitude, 2.5, walk)
 
 
@@ -77,9 +77,8 @@ def test_log_likelihood(data, hyper):
 
 
 def test_log_likelihood_gradient(data, hyper):
-    value, slope = log_likelihood(data, hyper, gradient=True)
-    assert value == log_likelihood(data, hyper)
-    assert len(slope) == (3 if hyper.amplitude is None else 6)
+    _, slope = _regression.log_likelihood(data, hyper)
+    assert len(slope) == 6
     for k, found in enumerate(slope):
         up, down = (log_likelihood(data, shifted(hyper, k, h)) for h in (1e-5, -1e-5))
         assert found == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
@@ -138,8 +137,7 @@ def test_means_of_many_cadences_find_the_same(monkeypatch):
 
 def test_compression_keeps_the_likelihood(data):
     hyper = Hyperparameters(1.3, np.array([3.0, 0.2]), 0.7, 2.5)
-    process = hyper.process(data.time, data.variance)
-    z = process.whiten(data.stacked)
+    z = hyper.process(data).whiten(data.stacked)
     small = _regression._compressed(z.T @ z, data, hyper, smallest=1e-12)
     same = replace(hyper, variances=np.ones(1))
     assert log_likelihood(small, same) == pytest.approx(log_likelihood(data, hyper), rel=1e-12)
@@ -148,11 +146,11 @@ def test_compression_keeps_the_likelihood(data):
 def test_compression_keeps_a_column_of_tiny_priors(data):
     """Without a column the gradient would be shorter than its parameters."""
     tiny = Hyperparameters(1.3, np.full(2, 1e-12), 0.7, 2.5)
-    z = tiny.process(data.time, data.variance).whiten(data.stacked)
+    z = tiny.process(data).whiten(data.stacked)
     small = _regression._compressed(z.T @ z, data, tiny)
     assert small.groups.tolist() == [0]
     same = replace(tiny, variances=np.ones(1))
-    _, slope = log_likelihood(small, same, gradient=True)
+    _, slope = _regression.log_likelihood(small, same)
     assert slope.shape == (5,)
 
 
@@ -162,14 +160,12 @@ def solution(data, hyper):
     use = np.arange(N) % 10 != 3
     regressors = Regressors(data.columns[:, :7], data.groups, ("a", "b"))
     flat = data.columns[:, 7:]
-    return Solution(
-        data.time, data.y, data.variance, use, ~use, regressors, flat, np.ones(1), hyper
-    )
+    return Solution(data.time, data.y, data.variance, use, ~use, regressors, flat, hyper)
 
 
 def test_held_out_windows(solution):
     dense = dense_covariance(solution.data, solution.hyper)
-    residual, covariance = solution.held_out(13)
+    residual, covariance = solution.held_out(13, solution.use)
     y = solution.data.y
     assert len(residual) == len(y) // 13
     for k in range(len(residual)):
@@ -188,8 +184,7 @@ def test_model_and_its_variance(solution):
     noisy = (latent + np.diag(hyper.noise_scale * whole.variance))[np.ix_(use, use)]
     gain = np.linalg.solve(noisy, latent[use]).T
     model = solution.systematics + solution.flat[:, 0] * solution.posterior.mean[-1]
-    if hyper.amplitude is not None:
-        model = model + solution.process.predict(solution.alpha, solution.time)
+    model = model + solution.process.predict(solution.alpha, solution.time)
     np.testing.assert_allclose(model, gain @ solution.y[use], atol=1e-8)
     variance = np.diag(latent - gain @ latent[use])
     np.testing.assert_allclose(solution.latent_variance(), variance, rtol=1e-4)
@@ -217,7 +212,7 @@ def test_parameters_and_variances_of_groups(solution):
 def test_transit_coefficient(solution):
     column = np.where(np.abs(solution.time - 4) < 0.5, -0.02, 0.0)[:, None]
     solution = replace(solution, n_trend=solution.flat.shape[1])
-    found, error = solution.with_flat(column, solution.use).flat_coefficient(-1)
+    found, error = solution.with_flat(column, solution.use).transit_coefficient()
     dense = dense_covariance(solution.data, solution.hyper)
     m = column[solution.use, 0]
     precision = m @ np.linalg.solve(dense, m) + 0.02**2 / flat_variance(solution.data)
@@ -243,11 +238,6 @@ def test_outliers_are_clipped(data):
         make, data.time, y, data.variance, use, np.empty((N, 0)), replace(options, max_clips=0)
     )
     assert kept.use.sum() == N - 1
-
-
-def test_process_is_used(data, hyper):
-    kind = type(hyper.process(data.time, data.variance))
-    assert (kind is Covariance) == (hyper.amplitude is not None)
 
 
 def test_search_from_a_strong_process_finds_nothing_better():

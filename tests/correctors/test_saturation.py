@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from scope_models.correctors._saturation import (
+from scope_models.effects._noise import bleed
+from scope_models.pixelmodel._stamp import (
     find_row_centers,
+    full_columns,
     rows_of_star,
     without_saturation,
 )
-from scope_models.effects._noise import bleed
-from scope_models.pixelmodel._columns import full_columns
 
 FULL = 0.2  # of the light
 

@@ -7,7 +7,7 @@ import pytest
 
 from scope_models._threads import one_thread
 from scope_models.benchmark import REGIMES, make_sky
-from scope_models.correctors import PLDCorrector, _short
+from scope_models.correctors import PLDCorrector, _periodic
 from scope_models.correctors._regression import Data
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -65,6 +65,6 @@ def test_a_change_beside_a_gap_has_its_cadences(monkeypatch):
     posterior = SimpleNamespace(mean=np.zeros(1))
     used = np.ones(200, dtype=bool)
     solution = SimpleNamespace(time=time, data=data, posterior=posterior, hyper=None, use=used)
-    monkeypatch.setattr(_short, "_runs", lambda *_: np.array([[33, 34]]))
-    columns = _short.short_changes(solution)
+    monkeypatch.setattr(_periodic, "_runs", lambda *_: np.array([[33, 34]]))
+    columns = _periodic.short_changes(solution)
     assert np.flatnonzero(columns[:, 0]).tolist() == [99, 100, 101]

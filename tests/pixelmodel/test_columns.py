@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from scope_models.effects._noise import bleed
-from scope_models.pixelmodel._columns import Columns, full_columns
+from scope_models.pixelmodel._stamp import Columns, full_columns
 from scope_models.pixelmodel._star import fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.pixelmodel._columns import Columns
-from scope_models.pixelmodel._position import Flow, precise_aperture
-from scope_models.pixelmodel._smoothing import Smoother
+from scope_models.pixelmodel._smooth import Flow, Smoother, precise_aperture
+from scope_models.pixelmodel._stamp import Columns
 from scope_models.pixelmodel._star import IMAGE_ERROR, _without_other_causes, fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")

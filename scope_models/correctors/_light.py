@@ -1,0 +1,363 @@
+"""The star's own light in the pixels, apart from that of other stars, and dimmings of it."""
+
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_number
+from scope_models._threads import one_thread
+from scope_models.correctors._pixels import (
+    OTHER_STAR,
+    Pixels,
+    at_one_place,
+    background_plane,
+    own_pixels,
+    typical_image,
+)
+from scope_models.exceptions import DetrendingWarning
+from scope_models.photometry import aperture_flux
+from scope_models.pixelmodel._star import IMAGE_ERROR
+
+__all__ = [
+    "NEAREST", "SHARE_ERROR", "Source", "box_signal", "center_of_light", "checked_depth",
+    "depth_ratio", "fitted_depth", "no_survival", "stars_of", "transit_column",
+]  # fmt: skip
+
+#: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
+_APART, _MOST_BOXES = 8, 8
+#: Prior: relative error of profile and image.
+SHARE_ERROR = 0.03
+#: Branch: least distance of separate stars (px), and largest number of stars.
+NEAREST, _MOST = 1.4, 7
+#: Branch: what stars leave is another one if it is so many times their light there.
+_OVER_STAR = 0.7
+#: Tolerance: number of places that are tried for another star.
+_MOST_PLACES = 12
+#: Tolerance: times that the light is shared out, and steps of places (px): of the derivative, the
+#: standard deviation of one, and the last one.
+_ROUNDS, _STEP, _MOVE, _SETTLED = 20, 0.05, 0.3, 0.02
+#: Tolerance: widths of the Gaussians whose sum is the profile, in units of the star's, and standard
+#: deviation of the window in which that is measured (px).
+_WIDTHS, _WINDOW = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0), 1.5
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a `PLDModel` was made of."""
+
+    pixels: Pixels  # as measured
+    series: object  # their file
+    cadence_mask: np.ndarray  # cadences from which images are learned
+
+    @cached_property
+    def _image(self):
+        """Typical image less background, its background, and the star's share in each pixel."""
+        pixels, places = self.pixels, self.series.pos_corr
+        typical = typical_image(pixels.flux[pixels.usable])
+        plane = background_plane(typical)
+        image, share = np.nan_to_num(typical - plane), np.ones(typical.shape)
+        still, full = image, self.series.mission and self.series.mission.full_flux
+        if places is not None and np.isfinite(places[pixels.usable]).any():
+            still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
+            still = np.nan_to_num(still - plane)
+        alone = pixels.own.all()
+        if alone and full is not None and still.max() >= full:
+            return image, plane, share  # charge that has bled looks like a star
+        try:
+            if alone:
+                stars = _blend_of(still, pixels.core)
+            else:
+                stars = stars_of(still, pixels.core, ~pixels.own)
+            if len(stars) > 1:
+                share = star_share(image, stars)
+        except NoLightError:
+            pass
+        return image, plane, share
+
+    @property
+    def share(self):
+        """The star's share of the light in each pixel."""
+        return self._image[2]
+
+    @cached_property
+    def other_light(self):
+        """Part of the aperture's light that is other stars', as the typical image shows it."""
+        image, _, share = self._image
+        inside = self.pixels.aperture
+        return float(np.clip(1 - (image * share)[inside].sum() / image[inside].sum(), 0.0, 1.0))
+
+    def light(self, clean):
+        """Return all stars' light in each pixel, e-/s."""
+        light = self.pixels.flux - self._image[1]
+        if clean is not None:
+            use, (columns, rows) = np.flatnonzero(self.pixels.usable)[:, None], clean.grid.T
+            light[use, rows, columns] = self.pixels.flux[use, rows, columns] - clean.background
+        return light
+
+    @property
+    def contrast_error(self):
+        """The uncertain part of the light that was not taken off, or may be none."""
+        if self.pixels.neighbors is None:
+            return self.other_light
+        return float(np.hypot(self.other_light, SHARE_ERROR * (1 / self.pixels.crowding - 1)))
+
+    def dimmed(self, signal, clean):
+        """Return the pixels with the star's light times a signal ``(n_cadences,)``."""
+        pixels = self.pixels
+        flux = pixels.flux + self.light(clean) * self.share * (signal - 1)[:, None, None]
+        total, _ = aperture_flux(flux, pixels.inside, pixels.flux_err)
+        usable = pixels.usable & (np.nan_to_num(total) > 0)
+        return replace(pixels, flux=flux, total=total, usable=usable)
+
+
+def box_signal(used, width, depth):
+    """Return boxes of ``width`` used cadences; multiples of the golden ratio spread them evenly."""
+    rows = np.flatnonzero(used)
+    number = int(np.clip(len(rows) // (_APART * width), 1, _MOST_BOXES))
+    signal, golden = np.ones(len(used)), (np.sqrt(5) - 1) / 2
+    room = len(rows) / number - width
+    for k in range(number):
+        first = int(k * len(rows) / number + max(room, 0) * ((k + 1) * golden % 1))
+        signal[rows[first : first + width]] -= depth
+    return signal
+
+
+@one_thread
+def fitted_depth(fitted, column):
+    """Return amplitude and error of a transit at fixed regressors, with all cadences in it."""
+    usable, solution = fitted.model.pixels.usable, fitted.solution
+    column, use = column[usable], solution.use | fitted.transit_mask[usable]
+    solution = solution.with_flat(column, use | fitted.cadence_mask[usable] & column.any(axis=1))
+    return solution.without_outliers(fitted.model.options).transit_coefficient()
+
+
+def depth_ratio(signal, flux, error):
+    """Return the depth of events in a flux over that in a signal, with a line about each event.
+
+    Both are relative, the signal less 1; errors weight the cadences. Second comes the standard
+    deviation of the ratio, by the scatter about the signal or, if it is more, that between the
+    events; NaN without events.
+    """
+    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False)).reshape(-1, 2)
+    parts = [np.empty((0, 2))]
+    for start, end in edges:
+        near = slice(max(2 * start - end, 0), 2 * end - start)
+        both = np.column_stack([flux, signal])[near] / error[near, None]
+        line = np.vander(np.arange(len(both)), 2) / error[near, None]
+        parts.append(both - line @ np.linalg.lstsq(line, both)[0])
+    seen, expected = np.concatenate(parts).T
+    power, free = expected @ expected, len(seen) - 2 * len(edges) - 1
+    if not power > 0 or free < 1:
+        return np.nan, np.nan
+    ratio = seen @ expected / power
+    rest = seen - ratio * expected
+    within = np.sum(rest**2) / free / power
+    ends = np.cumsum([len(part) for part in parts])[:-1]
+    events = np.array([part.sum() for part in np.split(rest * expected, ends)]) / power
+    between = np.sum(events**2) * len(edges) / max(len(edges) - 1, 1)
+    return float(ratio), float(np.sqrt(max(within, between)))
+
+
+def checked_depth(depth):
+    """Return a depth between 0 and 1."""
+    depth = checked_number("depth", depth, positive=True)
+    if depth >= 1:
+        raise ValueError(f"`depth` must be less than 1, got {depth}")
+    return depth
+
+
+def transit_column(model, time):
+    """Return the logarithm of a transit model at all cadences, ``(n, 1)``, 0 without a time.
+
+    Where what returns it for times is constant, a warning is given and the shape is ``(n, 0)``.
+    """
+    known = np.isfinite(time)
+    if callable(model):
+        values = np.ones(len(time))
+        values[known] = model(time[known])
+    else:
+        values = plain_array(model, "", "transit_model")
+    if values.shape != time.shape:
+        raise ValueError(f"`transit_model` must have shape {time.shape}, got {values.shape}")
+    if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
+        raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
+    column = np.log(np.where(known, values, 1.0))
+    varies = np.ptp(column[known]) > 0
+    if callable(model) and not varies:
+        message = "`transit_model` is constant at all cadences: its event lies in a gap"
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return np.zeros((len(time), 0))
+    if not varies:
+        raise ValueError("`transit_model` must vary with time, got a constant")
+    return column[:, None]
+
+
+def no_survival(reason):
+    """Return NaN twice, with a warning that has the reason."""
+    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=4)
+    return np.nan, np.nan
+
+
+class NoLightError(ValueError):
+    """No profile with positive flux describes the pixels of the target."""
+
+
+def stars_of(image, core, elsewhere):
+    """Return columns and rows of stars in an image without background, that in the core first.
+
+    Stars have peaks of their own, or hold most of the light ``elsewhere``.
+    """
+    places = [center_of_light(image, star) for star in _with_peaks(image, core)]
+    light, places, _ = _fit(image, places)
+    while len(places) < _MOST:
+        light = light.sum(axis=0)
+        rest = np.where(elsewhere & _away(image, places), image - light, 0.0)
+        star = (rest > _OVER_STAR * light) & (rest > OTHER_STAR * image.max())
+        if not star.any():
+            break
+        place = np.unravel_index(np.argmax(rest * star), image.shape)[::-1]
+        light, moved, _ = _fit(image, np.vstack([places, place]))
+        row, column = np.clip(np.rint(moved[-1, ::-1]).astype(int) + 1, 0, np.add(image.shape, 1))
+        if not np.pad(elsewhere, 1)[row, column]:
+            break
+        places = moved
+    return places
+
+
+def _blend_of(image, core):
+    """Return the same, where another star has no peak of its own.
+
+    It is there if one profile, which may be elliptical but is the same on both sides, does not
+    describe the image within its error, and two of them leave less than half.
+    """
+    places = np.array([center_of_light(image, core)])
+    misfit = _fit(image, places)[2]
+    least = np.mean(misfit**2)
+    if least < 1:
+        return places
+    pair, least = places, least / 2
+    bright = _away(image, places) & (image > OTHER_STAR * image.max())
+    order = np.argsort(np.where(bright, -misfit, np.inf), axis=None)
+    for other in order[: min(bright.sum(), _MOST_PLACES)]:
+        trial = np.vstack([places, np.unravel_index(other, image.shape)[::-1]])
+        try:
+            misfit = _fit(image, trial, move=False)[2]
+        except NoLightError:
+            continue
+        if np.mean(misfit**2) < least:
+            pair, least = trial, np.mean(misfit**2)
+    return pair
+
+
+def _away(image, places):
+    """Return the pixels that are apart from all places."""
+    rows, columns = np.indices(image.shape)
+    return np.all([np.hypot(columns - x, rows - y) > NEAREST for x, y in places], axis=0)
+
+
+def star_share(image, places):
+    """Return the first star's share of the light in each pixel of such an image."""
+    light, *_ = _fit(image, places, move=False)
+    return light[0] / np.maximum(light.sum(axis=0), 1e-12 * light.sum())
+
+
+def _with_peaks(image, core):
+    """Return the pixels of each star with a peak of its own, that in the core first."""
+    peak = int(np.argmax(np.where(core, image, -np.inf)))
+    stars = [own_pixels(image, peak)]
+    left = ~stars[0]
+    while left.any():
+        other = int(np.argmax(np.where(left, image, -np.inf)))
+        if image.flat[other] < OTHER_STAR * image.flat[peak]:
+            break
+        stars.append(own_pixels(image, other) & left)
+        left &= ~stars[-1]
+    return stars
+
+
+def center_of_light(image, star):
+    """Return column and row of the center of light of 3 x 3 pixels about a star's peak."""
+    image = np.where(star, image, 0.0)
+    row, column = np.unravel_index(np.argmax(image), image.shape)
+    rows, columns = np.indices(image.shape)
+    near = (np.abs(rows - row) <= 1) & (np.abs(columns - column) <= 1)
+    weight = np.where(near, np.maximum(image, 0.0), 0.0)
+    return np.array([np.sum(weight * columns), np.sum(weight * rows)]) / weight.sum()
+
+
+def _fit(image, places, *, move=True):
+    """Fit stars of one profile, first learned next to the first star, and if they ``move`` places.
+
+    Return their light ``(k, ny, nx)``, places, and what they leave of the image, in standard
+    deviations.
+    """
+    rows, columns = np.indices(image.shape)
+    places = np.array(places, dtype=float)
+    near = np.argmin([np.hypot(columns - x, rows - y) for x, y in places], axis=0) == 0
+    total = image[near].sum()
+    if not total > 0:
+        raise NoLightError("the pixels of `tpf` hold no light near the target")
+    own = np.where(near, image, 0.0)
+    error = SHARE_ERROR * np.abs(image) + IMAGE_ERROR * total
+
+    def solved(parts, values, precision=()):
+        """Return the coefficients of parts of the image, ``(k, ny, nx)``, with their priors."""
+        matrix, k = (parts / error).reshape(len(parts), -1), len(parts)
+        gram = matrix @ matrix.T + np.diag([*precision, *[1e-12] * (k - len(precision))])
+        return np.linalg.solve(gram, matrix @ (values / error).ravel())
+
+    flux = np.zeros(len(places))
+    for _ in range(_ROUNDS):
+        x, y = places[0]
+        profile = _profile((columns - x)[near], (rows - y)[near], own[near] / total)
+
+        def stars(dx=0.0, dy=0.0, profile=profile, places=places):
+            return np.array([profile(columns - x - dx, rows - y - dy) for x, y in places])
+
+        light, last = stars(), flux
+        flux = np.maximum(solved(light, image), 0.0)
+        light *= flux[:, None, None]
+        rest, change = image - light.sum(axis=0), np.abs(flux - last).max() / flux.max()
+        if move and len(places) > 1:
+            slopes = [stars(_STEP) - stars(-_STEP), stars(0, _STEP) - stars(0, -_STEP)]
+            slopes = np.concatenate(np.array(slopes) * flux[:, None, None] / (2 * _STEP))
+            step = solved(np.concatenate([slopes, light]), rest, [_MOVE**-2] * len(slopes))
+            step = np.clip(step[: len(slopes)].reshape(2, -1).T, -_MOVE, _MOVE)
+            places, change = places + step, max(change, np.abs(step).max())
+        if len(places) == 1 or change < _SETTLED:
+            break
+        near = np.ones_like(near)
+        own = image * light[0] / np.maximum(light.sum(axis=0), 1e-12 * total)
+    return light, places, rest / error
+
+
+def _profile(u, v, values):
+    """Fit a non-negative sum of Gaussians of one shape, and a constant for the background's rest.
+
+    Values are light over a star's flux, at distances from it (px); return the function of these,
+    without the constant.
+    """
+    window = np.exp(-0.5 * (u**2 + v**2) / _WINDOW**2) * np.clip(values, 0, None)
+    if not window.sum() > 0:
+        raise NoLightError("the pixels of `tpf` hold no light of the target")
+    moments = np.array([[np.sum(window * a * b) for a in (u, v)] for b in (u, v)]) / window.sum()
+    # strips of one row or column have no extent across
+    inverse = np.linalg.inv(moments + 1e-6 * np.eye(2)) - np.eye(2) / _WINDOW**2
+    eigen, vectors = np.linalg.eigh(inverse)
+    inverse = (vectors * np.clip(eigen, 1 / 2.0**2, 1 / 0.3**2)) @ vectors.T
+    area = 2 * np.pi / np.sqrt(np.linalg.det(inverse))
+
+    def gaussians(u, v):
+        square = inverse[0, 0] * u**2 + 2 * inverse[0, 1] * u * v + inverse[1, 1] * v**2
+        return np.stack([np.exp(-0.5 * square / s**2) / (area * s**2) for s in _WIDTHS], axis=-1)
+
+    weight = 1 / (SHARE_ERROR * np.abs(values) + IMAGE_ERROR)
+    columns = np.column_stack([gaussians(u, v), np.ones(len(u))]) * weight[:, None]
+    q, r = np.linalg.qr(columns)
+    bounds = (np.append(np.zeros(len(_WIDTHS)), -np.inf), np.inf)
+    found = lsq_linear(r, q.T @ (values * weight), bounds, method="bvls").x[:-1]
+    return lambda u, v: gaussians(u, v) @ found
