@@ -19,7 +19,7 @@ from scope_models.io._atomic import atomic_path
 from scope_models.io._light_curves import Collection, ccd_label, sha256
 from scope_models.io._opening import cards_of, naming
 from scope_models.io.tpf import write_hdulist
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.scene import Motion
 
 __all__ = [

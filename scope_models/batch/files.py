@@ -25,7 +25,7 @@ from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial, TransitModel
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
