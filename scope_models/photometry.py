@@ -320,25 +320,28 @@ def aperture_flux(flux, aperture, flux_err=None):
     array([2. , 5.5])
     """
     flux = plain_array(flux, _RATE, "flux")
-    weights = np.asarray(aperture)
+    aperture = np.asarray(aperture)
     if flux.ndim != 3:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
-    if weights.shape not in (flux.shape, flux.shape[1:]):
+    if aperture.shape not in (flux.shape, flux.shape[1:]):
         wanted = f"{flux.shape[1:]} or {flux.shape}"
-        raise ValueError(f"`aperture` must have shape {wanted}, got {weights.shape}")
+        raise ValueError(f"`aperture` must have shape {wanted}, got {aperture.shape}")
 
     def weighted(cube):
-        return np.where(weights == 0, 0.0, weights * cube)
+        """Return the pixels of each cadence times their weights."""
+        if aperture.dtype == bool and aperture.ndim == 2:
+            return cube[:, aperture]
+        return np.where(aperture == 0, 0.0, aperture * cube).reshape(len(cube), -1)
 
     with np.errstate(invalid="ignore"):
-        total = weighted(flux).sum(axis=(1, 2))
+        total = np.sum(weighted(flux), axis=1)
         if flux_err is None:
             return total
         error = plain_array(flux_err, _RATE, "flux_err")
         if error.shape not in {(), flux.shape}:
             raise ValueError(f"`flux_err` must have shape {flux.shape}, got {error.shape}")
-        variance = weighted(np.broadcast_to(error, flux.shape)) ** 2
-        return total, np.sqrt(variance.sum(axis=(1, 2)))
+        errors = weighted(np.broadcast_to(error, flux.shape))
+        return total, np.sqrt(np.sum(errors**2, axis=1))
 
 
 def crowding(target, neighbors, aperture):

@@ -14,7 +14,7 @@ from astropy.table import Table
 
 from scope_models._arrays import native
 from scope_models._values import Value, frozen
-from scope_models.io._blocks import Block, column_cards
+from scope_models.io._headers import Block, column_cards
 from scope_models.io._opening import MOST
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
@@ -205,7 +205,7 @@ def scene_blocks(maps, scene, further=()):
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
         cards = [("MAPNAME", name, "name of the map of truth")]
         cards.append(("EXTNAME", name.upper(), "extension name"))
-        blocks[name.upper()] = Block.of(cards, array)
+        blocks[name.upper()] = Block(cards, array)
     return [*blocks.values(), *further, *([] if scene is None else [_scene_block(scene)])]
 
 
@@ -229,7 +229,7 @@ def _truth_block(cadenceno, columns):
     cards.append(("EXTNAME", "TRUTH", "extension name"))
     if numbered:
         cards.append((_NUMBERED, " ".join(numbered), "columns of vectors: a value for each star"))
-    return Block.of(cards, rows)
+    return Block(cards, rows)
 
 
 def _vectors(arrays):
@@ -266,7 +266,7 @@ def _scene_block(scene):
     kinds = [(name, f"S{width}") for name, width in zip(("KEY", "VALUE"), widths, strict=True)]
     table = np.array(rows, dtype=kinds)
     cards = column_cards(table, {"VALUE": "value in JSON"})
-    return Block.of([*cards, ("EXTNAME", "SCENE", "extension name")], table)
+    return Block([*cards, ("EXTNAME", "SCENE", "extension name")], table)
 
 
 def _parts(text):

@@ -12,13 +12,20 @@ import astropy.units as u
 import numpy as np
 from astropy.io import fits
 
-from scope_models._arrays import DIGITAL, PER_PIXEL
-from scope_models._checks import check_fields, checked_matrix, integer, number
+from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array, plain_time
+from scope_models._checks import check_fields, checked_int32, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.io import _headers
 from scope_models.io._atomic import atomic_path
-from scope_models.io._blocks import CHECKSUM_COMMENT, Block, card_texts, write_blocks
+from scope_models.io._headers import (
+    CHECKSUM_COMMENT,
+    COLLECTED,
+    OPTIMAL,
+    Block,
+    make_headers,
+    pixel_block,
+    write_blocks,
+)
 from scope_models.io._opening import open_fits
 from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.missions import MISSIONS
@@ -31,8 +38,9 @@ _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine
 # Fields that a mission and a detector, or only a detector, have by the same name.
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
 _OF_DETECTOR = ("mission", "n_frames", "gain", "read_noise", "mean_black", "fixed_offset")
-_SIMULATED = ("SIMDATA", True, "the data are simulated")
-_NOT_SIMULATED = ("SIMDATA", False, "the data are not simulated")
+_CUBES = "flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"
+_UNITS = dict.fromkeys(_CUBES, "electron / s")
+_UNITS |= {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -167,11 +175,10 @@ class TPFMetadata(Value):
         self._check_place()
 
     def _check_place(self):
-        layout = self.layout
-        places = "channel", "module", "output", "camera", "ccd"
-        for name in ("quarter", "campaign", "sector", *places):
+        runs, places = ("quarter", "campaign", "sector"), ("channel", "module", "output")
+        for name in (*runs, *places, "camera", "ccd"):
             given = getattr(self, name)
-            if given is not None and name not in {layout.run, *layout.places}:
+            if given is not None and name not in {self.layout.run, *self.layout.places}:
                 raise ValueError(f"`{name}` must not be given for {self.mission}, got {given}")
         if self.module is not None and self.module not in _MODULES:
             raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
@@ -442,32 +449,23 @@ def _tpf_blocks(
     if not isinstance(metadata, TPFMetadata):
         wanted = "a TPFMetadata or the name of a mission"
         raise TypeError(f"`metadata` must be {wanted}, got {metadata!r}")
-    n_cadences = len(np.atleast_1d(columns["time"]))
-    if columns["cadenceno"] is None:
-        columns["cadenceno"] = np.arange(1, n_cadences + 1)
-    if columns["quality"] is None:
-        columns["quality"] = np.zeros(n_cadences, dtype=np.int32)
-    values = _headers.checked_columns(metadata.layout, columns)
-    layout, shape = _headers.pixel_columns(metadata.layout), values["FLUX"].shape[1:]
-    aperture = _aperture_bits(aperture, shape)
-    used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
-    times = values["TIME"], values.get("TIMECORR", np.full(n_cadences, np.nan)), int(used.sum())
-    headers = _headers.make_headers(metadata, *times, aperture)
-    if not simulated:
-        old, new = card_texts([_SIMULATED, _NOT_SIMULATED])
-        headers = [[new if card == old else card for card in cards] for cards in headers]
-    primary, table, image = headers
-    cards = [*_headers.pixel_column_cards(layout, metadata, shape), *table]
-    blocks = [Block.of(cards, _headers.table_rows(layout, values)), Block.of(image, aperture)]
+    values = _checked_columns(metadata.layout, columns)
+    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
+    simdata = "SIMDATA", simulated, f"the data are {'' if simulated else 'not '}simulated"
+    primary, table, image = (
+        [simdata if card.startswith("SIMDATA ") else card for card in cards]
+        for cards in make_headers(metadata, values, aperture)
+    )
+    blocks = [pixel_block(metadata, values, table), Block(image, aperture)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
-        blocks.append(_cosmic_ray_hdu(metadata, values, simulated))
+        blocks.append(_cosmic_ray_hdu(metadata, values, simdata))
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
-    return [Block.of([("NEXTEND", len(blocks), "number of extensions"), *primary]), *blocks]
+    return [Block([("NEXTEND", len(blocks), "number of extensions"), *primary]), *blocks]
 
 
-def _cosmic_ray_hdu(metadata, values, simulated):
+def _cosmic_ray_hdu(metadata, values, simdata):
     """Return the list of cosmic rays of files that have no column of them."""
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
@@ -480,8 +478,74 @@ def _cosmic_ray_hdu(metadata, values, simulated):
     hdu = fits.BinTableHDU.from_columns(columns, name="TARGET COSMIC RAY")
     hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
     hdu.header["EXTVER"] = (1, "version of extension")
-    hdu.header.append(_SIMULATED if simulated else _NOT_SIMULATED)
+    hdu.header.append(simdata)
     return hdu
+
+
+def _checked_columns(mission, values):
+    """Return the arrays that are there, by the names in the file, checked against each other."""
+    cube = np.shape(values["flux"])
+    if len(cube) != 3 or 0 in cube:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {cube}")
+    checked = _checked_times(mission, values, cube[:1])
+    for name, unit in _UNITS.items():
+        value, shape = values[name], cube if name in _CUBES else cube[:1]
+        # Only times, quantities and masked values have these; plain arrays are not copied.
+        if any(hasattr(value, attribute) for attribute in ("unit", "mask", "jd1")):
+            value = plain_array(value, unit, name)
+        if value is not None:
+            checked[name.upper()] = _floats(name, value, shape, broadcast=name in _CUBES)
+    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
+    if np.any(error <= 0):
+        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
+    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
+        raise ValueError("`flux_err` must not be NaN where `flux` is not")
+    if np.any(background_error < 0):
+        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
+    if values["raw_cnts"] is not None:
+        checked["RAW_CNTS"] = checked_int32("raw_cnts", values["raw_cnts"], cube)
+        if checked["RAW_CNTS"].min() < -1:
+            raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
+    return checked
+
+
+def _checked_times(mission, values, shape):
+    """Return times, cadence numbers and quality flags: no data where Kepler and K2 have no time."""
+    time = _floats("time", plain_time(values["time"], mission.time_format, "time"), shape)
+    known = time[np.isfinite(time)]
+    if known.size == 0:
+        raise ValueError("`time` must have a finite value")
+    if np.any(np.diff(known) <= 0):
+        raise ValueError("`time` must increase from cadence to cadence")
+    number = np.arange(1, shape[0] + 1) if values["cadenceno"] is None else values["cadenceno"]
+    number = checked_int32("cadenceno", number, shape)
+    if number[0] < 1 or np.any(np.diff(number) <= 0):
+        raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
+    quality = np.zeros(shape, np.int32) if values["quality"] is None else values["quality"]
+    quality = checked_int32("quality", quality, shape)
+    if quality.min() < 0:
+        raise ValueError(f"`quality` must not be negative, got {quality.min()}")
+    no_data = np.where(np.isnan(time), mission.quality.no_data, 0).astype(np.int32)
+    return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
+
+
+def _floats(name, values, shape, *, broadcast=False):
+    """Return an array of floats of a shape, without infinities."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iufb":
+        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
+    if broadcast:
+        try:
+            array = np.broadcast_to(array, shape)
+        except ValueError:
+            raise ValueError(f"`{name}` must fit the shape {shape}, got {array.shape}") from None
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    if array.dtype.kind != "f":
+        return array.astype(float)
+    if np.any(np.abs(array) > np.finfo(np.float32).max):
+        raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
+    return array
 
 
 def _aperture_bits(aperture, shape):
@@ -489,7 +553,7 @@ def _aperture_bits(aperture, shape):
     if aperture.shape != shape:
         raise ValueError(f"`aperture` must have the shape {shape}, got {aperture.shape}")
     if aperture.dtype.kind == "b":
-        return _headers.COLLECTED | np.where(aperture, _headers.OPTIMAL, 0).astype(np.int32)
+        return COLLECTED | np.where(aperture, OPTIMAL, 0).astype(np.int32)
     if aperture.dtype.kind not in "iu":
         raise TypeError(f"`aperture` must be of booleans or integers, got {aperture.dtype}")
     if aperture.min() < 0:
