@@ -18,9 +18,8 @@ from scope_models.batch._many import FITS, RAISES, RUN, run_files
 from scope_models.batch.results import check_data_set
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.io import read_pixels, read_tpf
-from scope_models.io._atomic import check_output
 from scope_models.io._light_curves import Collection
-from scope_models.io._opening import naming
+from scope_models.io._opening import check_output, naming
 from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS

@@ -1,9 +1,12 @@
-"""Reading FITS files that may be damaged, cut off or made to harm: columns and header cards."""
+"""Files: those to read may be damaged or made to harm, those written are there as a whole."""
 
 import gzip
 import io
+import os
+import secrets
+import shutil
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,21 +22,20 @@ from scope_models.exceptions import DamagedFileWarning
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
-    "MOST", "NO_FACTS", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
-    "first_table", "making", "naming", "open_fits", "read_positions", "read_table",
-    "time_format_of",
+    "MOST", "NO_FACTS", "RefusedError", "atomic_path", "cards_of", "check_output", "checksum_of",
+    "column_of", "conf", "facts_of", "first_table", "identity", "making", "naming", "open_fits",
+    "read_positions", "read_table", "remove_temporaries", "time_format_of",
 ]  # fmt: skip
 
 #: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
 #: factor by which a compressed file may grow beyond 64 MiB.
 conf = SimpleNamespace(max_bytes=1 << 30, max_ratio=200)
 
-_GZIP = b"\x1f\x8b"
-_CHUNK = 1 << 20
 # Compressed files may always become so large: noise-free simulations compress very well.
 _SMALL = 64 << 20
 MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
+_PREFIX = ".scope-models-"
 _POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
 NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
@@ -102,16 +104,16 @@ def _content(path):
     size, limit = path.stat().st_size, conf.max_bytes
     if size == 0:
         raise ValueError(f"{path} is empty")
+    if size > limit:
+        raise _too_large(path, limit)
     with path.open("rb") as stream:
-        if not stream.peek(2).startswith(_GZIP):
-            if size > limit:
-                raise _too_large(path, limit)
+        if not stream.peek(2).startswith(b"\x1f\x8b"):
             return stream.read()
         limit = min(limit, max(_SMALL, conf.max_ratio * size))
         content = io.BytesIO()
         try:
             with gzip.GzipFile(fileobj=stream) as unpacked:
-                while content.tell() <= limit and (piece := unpacked.read(_CHUNK)):
+                while content.tell() <= limit and (piece := unpacked.read(1 << 20)):
                     content.write(piece)
         except Exception as error:  # of gzip
             raise ValueError(_unreadable(path, error)) from error
@@ -280,3 +282,80 @@ def cards_of(*headers):
             known = isinstance(value, (str, bool, int, float, complex))
             facts[key] = value if known else facts.get(key)
     return facts
+
+
+@contextmanager
+def atomic_path(path, *, overwrite=False):
+    """Give a temporary path to write to, and move the file into place at the end, in one step.
+
+    It is a hidden file beside ``path`` with the same suffixes. When the body raises, it is removed
+    and ``path`` stays as it was. Without ``overwrite``, neither a file that exists nor one that
+    appears meanwhile is replaced. Errors are an OSError that names the file.
+    """
+    target = check_output(path, overwrite=overwrite)
+    temporary = target.with_name(_PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:]))
+    try:
+        yield temporary
+        if not overwrite:
+            _take_name(path, temporary, target)
+        elif target.exists():
+            shutil.copymode(target, temporary)
+        temporary.replace(target)
+    except OSError as error:
+        if error.filename not in (None, temporary, str(temporary)):
+            raise
+        raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder):
+    """Remove what processes that were killed were writing in a folder, where that is possible."""
+    for path in Path(folder).glob(f"{_PREFIX}*"):
+        with suppress(OSError):
+            path.unlink()
+
+
+def check_output(path, *, overwrite=False, inputs=()):
+    """Return the real place of a file, or raise the errors of `atomic_path`; inputs are refused."""
+    target = Path(os.path.realpath(path))
+    for source in inputs:
+        if identity(source) == identity(target):
+            raise ValueError(f"cannot write {path}: it is the input {source}")
+    if target.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+    if target.exists() and not target.is_file():
+        raise OSError(f"cannot write {path}: it is not a regular file")
+    if target.exists() and not overwrite:
+        raise _exists(path)
+    if not os.access(target.parent, os.W_OK):
+        raise PermissionError(f"cannot write {path}: Permission denied in folder {target.parent}")
+    return target
+
+
+def identity(path):
+    """Return a key common to all links to a file: device and inode, or the path if absent."""
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return os.path.realpath(path)
+    return state.st_dev, state.st_ino
+
+
+def _take_name(path, temporary, target):
+    """Let a name that must be free mean the temporary file, or an empty one."""
+    try:
+        try:
+            os.link(temporary, target)
+        except FileExistsError:
+            raise
+        except OSError:  # the file system has no hard links
+            target.touch(exist_ok=False)
+    except FileExistsError:
+        raise _exists(path) from None
+
+
+def _exists(path):
+    return FileExistsError(f"{path} exists already; pass overwrite=True to replace it")

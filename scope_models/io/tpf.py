@@ -16,7 +16,6 @@ from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array, plain_time
 from scope_models._checks import check_fields, checked_int32, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.io._atomic import atomic_path
 from scope_models.io._headers import (
     CHECKSUM_COMMENT,
     COLLECTED,
@@ -26,7 +25,7 @@ from scope_models.io._headers import (
     pixel_block,
     write_blocks,
 )
-from scope_models.io._opening import open_fits
+from scope_models.io._opening import atomic_path, open_fits
 from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.missions import MISSIONS
 
