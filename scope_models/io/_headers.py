@@ -39,6 +39,7 @@ COLLECTED, OPTIMAL = 1, 2
 _LAYOUTS = Path(__file__).with_name("layouts")
 # Names of cards on the coordinates of an image, and of those of a column without their numbers.
 _WCS = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
+_PHYSICAL = ("CTYPE", "CUNIT", "CRVAL", "CDELT", "CRPIX")
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _CARDS = {
@@ -199,12 +200,11 @@ _COLUMNS = (
 )
 
 
-def make_headers(metadata, values, aperture):
+def make_headers(metadata, values, aperture, simdata):
     """Return the cards of file, pixel table (without its columns) and aperture, as texts."""
     optimal, collected = aperture & OPTIMAL > 0, aperture & COLLECTED > 0
-    sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
     facts = {
-        **_facts(metadata), **_span(metadata, values), **sky,
+        **_facts(metadata), **_span(metadata, values), **tan_projection(metadata, aperture.shape),
         "CRVAL1P": metadata.column, "CRVAL2P": metadata.row, "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
     }  # fmt: skip
@@ -213,13 +213,14 @@ def make_headers(metadata, values, aperture):
     names["TMOFST"] = None if unknown else f"TMOFST{metadata.camera}{metadata.ccd}"
     headers = []
     for cards in _template(metadata.layout.template):
-        filled = (
-            (name, facts[keyword], comment)
-            if facts.get(keyword) is not None
-            else f"{name:8}{text[8:]}"
-            for keyword, text, comment in cards
-            if (name := names.get(keyword, keyword)) is not None
-        )
+        filled = []
+        for keyword, text, comment in cards:
+            name, value = names.get(keyword, keyword), facts.get(keyword)
+            if keyword == "SIMDATA":
+                filled.append(simdata)
+            elif name is not None:
+                card = f"{name:8}{text[8:]}" if value is None else (name, value, comment)
+                filled.append(card)
         headers.append(card_texts(filled))
     if metadata.layout.template != metadata.mission.lower():
         comment = "kind of telescope; the layout is another's"
@@ -292,10 +293,15 @@ def calendar_dates(zero, days):
         return tuple(times.utc.isot.tolist())
 
 
-def pixel_block(metadata, values, cards):
-    """Return the pixel table: columns without values have NaN or their null value."""
+def pixel_block(metadata, values, cards, image):
+    """Return the pixel table: columns without values have NaN or their null value.
+
+    The columns of pixels have the coordinates of the aperture, of which ``image`` are the cards.
+    """
     n_cadences, *shape = values["FLUX"].shape
-    sky = tan_projection(metadata, shape)
+    image = {text[:8].rstrip(): text for text in image}
+    if metadata.matrix is not None:  # which is not of an angle
+        image |= {name: image[name].partition(",")[0] for name in _MATRIX}
     displays = dict(zip("DEJ", metadata.layout.displays, strict=True))
     columns = [item for item in _COLUMNS if item.name not in metadata.layout.absent_columns]
     fields, defined, places = [], [], []
@@ -314,7 +320,8 @@ def pixel_block(metadata, values, cards):
             (f"TDIM{n}", f"({size[1]},{size[0]})" if size else None, "column dimensions"),
         ]
         if column.is_pixels:
-            places += _column_wcs(n, metadata, sky)
+            names = _physical_keywords(n) | wcs_keywords(n)
+            places += [f"{own:8}{image[name][8:]:72}" for name, own in names.items()]
     rows = np.empty(n_cadences, dtype=fields)
     for column in columns:
         missing = np.nan if column.null is None else column.null
@@ -329,50 +336,27 @@ def wcs_keywords(n):
     return axes | {name: f"{name[2]}{name[4]}PC{n}" for name in _MATRIX}
 
 
-def _column_wcs(n, metadata, sky):
-    keywords = wcs_keywords(n)
-    return [
-        (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
-        (f"WCAX{n}P", 2, "axes of the detector coordinates"),
-        (f"1CTY{n}P", "RAWX", "axis 1: CCD column"), (f"2CTY{n}P", "RAWY", "axis 2: CCD row"),
-        (f"1CUN{n}P", "PIXEL", "unit of axis 1"), (f"2CUN{n}P", "PIXEL", "unit of axis 2"),
-        (f"1CRV{n}P", metadata.column, "CCD column of the first pixel"),
-        (f"2CRV{n}P", metadata.row, "CCD row of the first pixel"),
-        (f"1CDL{n}P", 1.0, "step of axis 1"), (f"2CDL{n}P", 1.0, "step of axis 2"),
-        (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
-        (f"WCAX{n}", 2, "axes of the sky coordinates"),
-        *((keywords[name], value, comment) for name, (value, comment) in sky.items()),
-    ]  # fmt: skip
+def _physical_keywords(n):
+    axes = {f"{name}{i}P": f"{i}{_WCS[name][:3]}{n}P" for name in _PHYSICAL for i in "12"}
+    return {"WCSNAMEP": f"WCSN{n}P", "WCSAXESP": f"WCAX{n}P", **axes, "WCSAXES": f"WCAX{n}"}
 
 
 def tan_projection(metadata, shape):
-    """Return value and comment, by keyword, of the gnomonic projection about the target."""
+    """Return the values, by keyword, of the gnomonic projection about the target."""
     ny, nx = shape
     x_0 = (nx - 1) / 2 if metadata.x_0 is None else metadata.x_0
     y_0 = (ny - 1) / 2 if metadata.y_0 is None else metadata.y_0
     ra, dec = metadata.position
     scale = metadata.pixel_scale / 3600.0
-    cosine, sine = (f(np.radians(metadata.orientation)).item() for f in (np.cos, np.sin))
-    matrix, words = metadata.matrix, ("",) * 4
+    matrix = metadata.matrix
     if matrix is None:
+        cosine, sine = (f(np.radians(metadata.orientation)).item() for f in (np.cos, np.sin))
         matrix = cosine, 0.0 - sine, sine, cosine
-        words = (f", {name}(orientation)" for name in ("cos", "-sin", "sin", "cos"))
     return {
-        "CTYPE1": ("RA---TAN", "right ascension, gnomonic projection"),
-        "CTYPE2": ("DEC--TAN", "declination, gnomonic projection"),
-        "CRPIX1": (x_0 + 1.0, "[pixel] reference pixel along axis 1"),
-        "CRPIX2": (y_0 + 1.0, "[pixel] reference pixel along axis 2"),
-        "CRVAL1": (ra, "[deg] right ascension of that pixel"),
-        "CRVAL2": (dec, "[deg] declination of that pixel"),
-        "CUNIT1": ("deg", "unit of right ascension"),
-        "CUNIT2": ("deg", "unit of declination"),
-        "CDELT1": (-scale, "[deg] pixel scale, east to the left"),
-        "CDELT2": (scale, "[deg] pixel scale"),
-        **{
-            name: (value, f"rotation matrix{word}")
-            for name, value, word in zip(_MATRIX, matrix, words, strict=True)
-        },
-    }
+        "CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRPIX1": x_0 + 1.0, "CRPIX2": y_0 + 1.0,
+        "CRVAL1": ra, "CRVAL2": dec, "CUNIT1": "deg", "CUNIT2": "deg", "CDELT1": -scale,
+        "CDELT2": scale, **dict(zip(_MATRIX, matrix, strict=True)),
+    }  # fmt: skip
 
 
 def _fill(headers, extra_cards):

@@ -451,11 +451,8 @@ def _tpf_blocks(
     values = _checked_columns(metadata.layout, columns)
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
     simdata = "SIMDATA", simulated, f"the data are {'' if simulated else 'not '}simulated"
-    primary, table, image = (
-        [simdata if card.startswith("SIMDATA ") else card for card in cards]
-        for cards in make_headers(metadata, values, aperture)
-    )
-    blocks = [pixel_block(metadata, values, table), Block(image, aperture)]
+    primary, table, image = make_headers(metadata, values, aperture, simdata)
+    blocks = [pixel_block(metadata, values, table, image), Block(image, aperture)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         blocks.append(_cosmic_ray_hdu(metadata, values, simdata))
     truth = truth_columns, truth_maps, scene, truth_tables
