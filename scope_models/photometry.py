@@ -28,9 +28,9 @@ __all__ = [
 
 _RATE = u.electron / u.s
 _NO_WEIGHT = 1e-3
-#: Kepler and K2 long cadence (header keyword TIMEDEL), the default cadence of a bare array, days.
+#: Long cadence of Kepler and K2 (TIMEDEL), days.
 LONG_CADENCE = MISSIONS["Kepler"].cadence_days("long")
-#: Length of the Savitzky-Golay filter of each convention of the CDPP, in long cadences.
+#: Length of the filter of each convention of the CDPP, in long cadences.
 _FILTER_CADENCES = {"lightkurve": 101, "everest": 49}
 _FILTER_ORDER = 2
 _SMOOTH = 50
@@ -78,9 +78,8 @@ def signal_to_noise_aperture(
 ):
     """Grow the aperture of the highest signal-to-noise ratio.
 
-    From the pixel of highest ratio on, the pixel that raises the ratio of the sum most is added,
-    until none does [1]_. The variance of a pixel holds the photons of target, neighbors and
-    background, and the read noise of all frames.
+    The pixel that raises the ratio of the sum most is added until none does [1]_. The variance of
+    a pixel is that of the photons of target, neighbors and background, and of all reads.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ def signal_to_noise_aperture(
         Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target alone, e-/s;
         a cube is averaged over cadences.
     exposure_time : float
-        Light-gathering time of a cadence in seconds.
+        Exposure of a cadence in seconds.
     neighbors : array_like, optional
         The same of all other stars.
     background : float or array_like, optional
@@ -162,7 +161,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     neighbors : array_like
         The same of all other stars.
     min_fraction : float, optional
-        Lowest share of the target in a pixel's starlight, averaged over cadences, from 0 to 1.
+        Lowest share of the target in a pixel's mean starlight, from 0 to 1.
     threshold : float, optional
         As in `threshold_aperture`, applied first.
 
@@ -328,7 +327,6 @@ def aperture_flux(flux, aperture, flux_err=None):
         raise ValueError(f"`aperture` must have shape {wanted}, got {aperture.shape}")
 
     def weighted(cube):
-        """Return the pixels of each cadence times their weights."""
         if aperture.dtype == bool and aperture.ndim == 2:
             return cube[:, aperture]
         return np.where(aperture == 0, 0.0, aperture * cube).reshape(len(cube), -1)
@@ -360,8 +358,8 @@ def crowding(target, neighbors, aperture):
     Returns
     -------
     float
-        Target flux over total flux in the aperture, averaged over cadences; a signal of relative
-        depth d is diluted to d times this number.
+        Target flux over total flux in the aperture, averaged over cadences, by which signals are
+        diluted.
 
     Examples
     --------
@@ -434,48 +432,46 @@ def _not_empty(mask, message):
 def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_window=None):
     r"""Estimate the noise on the time scale of a transit.
 
-    Two conventions are in use and differ by up to an order of magnitude on pointing systematics:
+    Two conventions differ by up to an order of magnitude on pointing systematics:
 
     ``"lightkurve"``
         `lightkurve.LightCurve.estimate_cdpp`: the flux is divided by an iteratively 3-sigma clipped
-        Savitzky-Golay trend (order 2, 101 cadences; gaps longer than 5 cadences split it), clipped
-        at 5 sigma, and the result is the standard deviation of its running mean.
+        Savitzky-Golay trend (order 2, 101 cadences; split at gaps of more than 5), clipped at
+        5 sigma; the result is the standard deviation of its running mean.
     ``"everest"``
         The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences) is subtracted, points
-        farther than 5 (scaled) median absolute deviations from a 50-cadence smooth are dropped, and
-        the result is the median, over all running windows of :math:`n` cadences, of the window's
-        standard deviation divided by :math:`\sqrt{n}`.
+        farther than 5 scaled median absolute deviations from a 50-cadence smooth are dropped; the
+        result is the median of the standard deviations of all windows of :math:`n` cadences, over
+        :math:`\sqrt{n}`.
 
-    White noise of 100 ppm per long cadence has a 6.5-hour CDPP of nominally
+    White noise of 100 ppm per long cadence has a nominal 6.5-hour CDPP of
     :math:`100 / \sqrt{13} = 27.7` ppm; the first convention gives 23.1 (the filter removes some),
-    the second 25.7 (the standard deviation of 13 points is biased, and some is removed too).
+    the second 25.7 (the standard deviation of 13 points is biased, too).
 
     Parameters
     ----------
     lc_or_flux : `~lightkurve.LightCurve`, `~astropy.units.Quantity` or array_like
-        A light curve (anything with ``time`` and ``flux``), or fluxes of shape ``(n_cadences,)``
-        or ``(n_series, n_cadences)`` in any unit. Cadences with a flux or time that is not finite
-        are left out.
+        A light curve (anything with ``time`` and ``flux``), or fluxes ``(n_cadences,)`` or
+        ``(n_series, n_cadences)`` in any unit. Cadences without finite flux and time are left out.
     duration : float or `~astropy.units.Quantity`, optional
         Time scale in hours; rounded to a whole number of cadences.
     method : {"lightkurve", "everest"}, optional
         The convention.
     cadence : float or `~astropy.units.Quantity`, optional
-        Time between cadences in days. By default the median of the light curve's time steps; for
-        arrays the Kepler long cadence, 0.0204336 d.
+        Time between cadences in days. By default the median of the time steps; for arrays the
+        Kepler long cadence, 0.0204336 d.
     filter_window : int, optional
-        Length of the Savitzky-Golay filter in cadences, odd. By default the time of 101
-        ("lightkurve") or 49 ("everest") long cadences.
+        Length of the filter in cadences, odd. By default the time of 101 or 49 long cadences.
 
     Returns
     -------
     float or `~numpy.ndarray`
-        CDPP in parts per million; an array of shape ``(n_series,)`` for two-dimensional input.
+        CDPP in parts per million, ``(n_series,)`` for two-dimensional input.
 
     Raises
     ------
     ValueError
-        If an argument is outside its domain, fewer finite cadences than two durations are left, or
+        If an argument is out of its domain, fewer finite cadences than two durations are left, or
         the median flux is not positive.
 
     References
@@ -525,7 +521,7 @@ def noise_of(lc_or_flux, method="lightkurve"):
 
 
 def _series(lc_or_flux, cadence):
-    """Return times, fluxes and the time between cadences as plain floats, masked values as NaN."""
+    """Return times, fluxes and the time between cadences as floats."""
     time = None
     if hasattr(lc_or_flux, "flux") and hasattr(lc_or_flux, "time"):
         time = lc_or_flux.time

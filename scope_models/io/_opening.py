@@ -50,11 +50,9 @@ class RefusedError(ValueError):
 
 @contextmanager
 def open_fits(path):
-    """Open a FITS file to read, with one kind of error for all kinds of damage.
+    """Open a FITS file; any damage is a ValueError that names it, a wrong checksum a warning.
 
-    It is read into memory, up to the limits in `scope_models.io.conf`, and each header is checked
-    before its data are read. The HDUs stay usable. Damage is a ValueError that names the file, and
-    a checksum that does not match a warning.
+    It is in memory, each header checked before its data are read: the HDUs stay usable.
     """
     content = _content(Path(path))
     try:
@@ -70,7 +68,7 @@ def open_fits(path):
 
 @contextmanager
 def naming(path):
-    """Let errors that concern a file begin with its name."""
+    """Let errors begin with the name of a file."""
     try:
         yield
     except ValueError as error:
@@ -81,7 +79,7 @@ def naming(path):
 
 @contextmanager
 def making(path, what):
-    """Raise all errors of what is made of a file, which can hold anything, as one that names it."""
+    """Raise any error of what is made of a file as one that names it."""
     try:
         yield
     except Exception as error:
@@ -144,7 +142,7 @@ def _check(hdus, content, path):
         for keyword, begin in (("DATASUM", place["datLoc"]), ("CHECKSUM", start)):
             text = str(hdu.header.get(keyword, "")).strip()
             wanted = 0 if keyword == "CHECKSUM" else int(text) if text.isdigit() else -1
-            found = checksum_of(np.frombuffer(content, np.uint8, end - begin, begin))
+            found = checksum_of(memoryview(content)[begin:end])
             if text and found % _ONES != wanted % _ONES:
                 mismatches.append(f"{keyword} of HDU {number}")
                 break
@@ -161,7 +159,7 @@ def _check(hdus, content, path):
 
 
 def _check_axes(content, start):
-    """Refuse a header with more axes than FITS allows, before astropy lists them."""
+    """Refuse more axes than FITS allows, before astropy lists them."""
     stream = io.BytesIO(content)
     stream.seek(start)
     axes = fits.Header.fromfile(stream).get("NAXIS")
@@ -170,7 +168,6 @@ def _check_axes(content, start):
 
 
 def _check_columns(hdu):
-    """Refuse a table whose columns do not fit its rows."""
     n_columns = hdu.header["TFIELDS"]
     if isinstance(n_columns, bool) or not 0 <= n_columns <= MOST:
         raise ValueError(f"TFIELDS is {n_columns}")
@@ -184,9 +181,9 @@ def _check_columns(hdu):
 
 def checksum_of(data, start=0):
     """Return the ones' complement sum of bytes in 32-bit numbers."""
-    rest = len(data) % 4
-    total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))
-    total += int.from_bytes(data[len(data) - rest :].tobytes().ljust(4, b"\0"), "big")
+    if len(data) % 4:
+        data = bytes(data) + bytes(-len(data) % 4)
+    total = start + int(np.frombuffer(data, ">u4").sum(dtype=np.uint64))
     while total >> 32:
         total = (total & 0xFFFFFFFF) + (total >> 32)
     return total
@@ -206,7 +203,7 @@ def read_positions(path):
         if len(table.data) == 0:
             raise RefusedError(f"{path} has no rows in its first table")
         header = cards_of(hdus[0].header, table.header)
-    time, x, y = (columns[name].astype(float) for name in _POSITIONS)
+    time, x, y = (columns[name] for name in _POSITIONS)
     number = columns.get("CADENCENO")
     if number is not None and not number.any():  # TESScut's files have only zeros
         number = np.arange(1, len(number) + 1)
@@ -231,10 +228,9 @@ def read_table(path):
 
 
 def facts_of(header):
-    """Return the facts on mission, star and detector in the header of an archive file."""
+    """Return mission, star and detector in the header of an archive file."""
     mission = header.get("MISSION") or header.get("TELESCOP")
     facts = {"mission": mission} | {name: header.get(card) for name, card in _FACTS.items()}
-    # A blank card has a value of its own class, which is neither text nor a number.
     return {k: v for k, v in facts.items() if isinstance(v, str | int | float) and v != ""}
 
 
@@ -270,12 +266,10 @@ def column_of(table, name, path, ndim=1):
 
 
 def cards_of(*headers):
-    """Return the facts in headers, of which later ones go first; None stands for a blank card.
-
-    Headers in memory also hold numpy's numbers, as those of lightkurve's cutouts do.
-    """
+    """Return the facts in headers, the last of which prevail; None for blank cards."""
     facts = {}
     for header in headers:
+        # lightkurve's cutouts have numpy's numbers.
         for key, value in plain_tree(dict(header.items())).items():
             if key in NO_FACTS or key.startswith("NAXIS"):
                 continue
@@ -286,11 +280,10 @@ def cards_of(*headers):
 
 @contextmanager
 def atomic_path(path, *, overwrite=False):
-    """Give a temporary path to write to, and move the file into place at the end, in one step.
+    """Give a hidden path beside ``path``, and move the file into place at the end, in one step.
 
-    It is a hidden file beside ``path`` with the same suffixes. When the body raises, it is removed
-    and ``path`` stays as it was. Without ``overwrite``, neither a file that exists nor one that
-    appears meanwhile is replaced. Errors are an OSError that names the file.
+    When the body raises, it is removed and ``path`` stays as it was. Without ``overwrite``, a file
+    that appears meanwhile is kept, too. Errors are an OSError that names the file.
     """
     target = check_output(path, overwrite=overwrite)
     temporary = target.with_name(_PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:]))
@@ -310,14 +303,14 @@ def atomic_path(path, *, overwrite=False):
 
 
 def remove_temporaries(folder):
-    """Remove what processes that were killed were writing in a folder, where that is possible."""
+    """Remove what killed processes have left, where that is possible."""
     for path in Path(folder).glob(f"{_PREFIX}*"):
         with suppress(OSError):
             path.unlink()
 
 
 def check_output(path, *, overwrite=False, inputs=()):
-    """Return the real place of a file, or raise the errors of `atomic_path`; inputs are refused."""
+    """Return the real place of a file to write; `atomic_path` raises the same errors."""
     target = Path(os.path.realpath(path))
     for source in inputs:
         if identity(source) == identity(target):
@@ -336,7 +329,7 @@ def check_output(path, *, overwrite=False, inputs=()):
 
 
 def identity(path):
-    """Return a key common to all links to a file: device and inode, or the path if absent."""
+    """Return a key common to all links to a file."""
     try:
         state = Path(path).stat()
     except OSError:
@@ -345,7 +338,7 @@ def identity(path):
 
 
 def _take_name(path, temporary, target):
-    """Let a name that must be free mean the temporary file, or an empty one."""
+    """Give a name, which must be free, to the temporary file, or to an empty one."""
     try:
         try:
             os.link(temporary, target)

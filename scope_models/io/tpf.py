@@ -46,8 +46,7 @@ _UNITS |= {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
 class TPFMetadata(Value):
     """Facts for the headers of a target pixel file.
 
-    `of` takes those of a detector. What is None and has no default below becomes a card without a
-    value, as in archive files.
+    `of` takes those of a detector. What is None and has no default becomes a card without a value.
 
     Parameters
     ----------
@@ -62,21 +61,20 @@ class TPFMetadata(Value):
     n_frames : int, optional
         Frames per cadence; by default those of the mission's usual cadence.
     object_name : str, optional
-        OBJECT; by default "SIM" and the number, for the star is not the one of a catalog.
+        OBJECT; by default "SIM" and the number.
     ra, dec : float or Quantity, optional
         Position, deg; by default the middle of a field (for TESS the north ecliptic pole).
     x_0, y_0 : float or Quantity, optional
         The pixel of the stamp, from 0, that looks at ``ra`` and ``dec``; by default the middle.
     orientation : float or Quantity, optional
-        Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
-        to the north and columns to the west.
+        Position angle of growing rows, deg from north to east. At 0, columns grow to the west.
     matrix : tuple of float, optional
-        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
-        along columns and rows is to the west and to the north.
+        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: steps to the
+        west and to the north along columns and rows.
     magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
-        When it was observed; only that of the mission may be given.
+        When it was observed; only the mission's may be given.
     channel, module, output : int, optional
         Where on the Kepler photometer; a channel implies its module and output, and conversely.
     camera, ccd : int, optional
@@ -98,9 +96,8 @@ class TPFMetadata(Value):
     date : datetime.date, optional
         Day on which the file is made; by default today, UTC.
     extra_cards : mapping, optional
-        Further cards: keyword to value, or to value and comment. Keywords that the layout has
-        without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
-        added to the primary header.
+        Further cards: keyword to value, or to value and comment. Those that the layout has without
+        a value (TEFF, CROWDSAP, ...) are filled, others are added to the primary header.
 
     Raises
     ------
@@ -196,7 +193,7 @@ class TPFMetadata(Value):
         detector : Detector
             The detector, of a mission with target pixel files.
         **facts
-            Fields of `TPFMetadata`: those of the target, and any that differ from the detector's.
+            Fields of `TPFMetadata`: the target's, and any that differ from the detector's.
 
         Returns
         -------
@@ -222,7 +219,7 @@ class TPFMetadata(Value):
 
     @property
     def layout(self):
-        """The mission, which fixes the special features of its files."""
+        """The mission, which fixes the features of its files."""
         return MISSIONS[self.mission]
 
     @property
@@ -258,7 +255,7 @@ class TPFMetadata(Value):
 
     @property
     def reads(self):
-        """Number of frames that are summed up."""
+        """Number of frames in the sum."""
         return self.n_frames if self.n_readouts is None else self.n_readouts
 
     @property
@@ -270,7 +267,7 @@ class TPFMetadata(Value):
 
     @property
     def is_long_cadence(self):
-        """Whether this is what the Kepler photometer calls a long cadence."""
+        """Whether Kepler calls this a long cadence."""
         return self.cadence_days > _LONG_CADENCE
 
     @property
@@ -290,13 +287,13 @@ def make_tpf_hdulist(
     Parameters
     ----------
     metadata : TPFMetadata or {"Kepler", "K2", "TESS", "Ground"}
-        Facts for the headers; its mission chooses the layout. The name of a mission stands for
-        target number 1 and the mission's usual cadence.
+        Facts for the headers. The name of a mission stands for target number 1 and its usual
+        cadence.
     time : array_like, Quantity or Time, shape (n,)
         Barycentric times of mid-cadence, days (BKJD or BTJD); NaN where there is none.
     flux, flux_err : array_like or Quantity, shape (n, ny, nx)
-        Flux less background and its standard deviation, e-/s; NaN where there is none. The
-        standard deviation may be anything that broadcasts to the shape.
+        Flux less background and its standard deviation, which broadcasts to it, e-/s; NaN where
+        there is none.
     cadenceno : array_like of int, shape (n,), optional
         Numbers of the cadences, growing, from 1 at least; by default 1 to n.
     raw_cnts : array_like of int, shape (n, ny, nx), optional
@@ -310,7 +307,7 @@ def make_tpf_hdulist(
     timecorr : array_like, shape (n,), optional
         Barycentric minus spacecraft time, days; NaN by default.
     cosmic_rays : array_like, shape (n, ny, nx), optional
-        Cosmic rays that were taken out, e-/s; NaN where there were none.
+        Cosmic rays that were taken out, e-/s; NaN for none.
     aperture : array_like of bool or int, shape (ny, nx), optional
         The optimal aperture; or bits, 1 for collected and 2 for optimal. By default all are 1.
     truth_columns, truth_maps, scene, truth_tables : dict, optional
@@ -321,8 +318,8 @@ def make_tpf_hdulist(
     Returns
     -------
     astropy.io.fits.HDUList
-        The file, which lightkurve's ``KeplerTargetPixelFile`` and ``TessTargetPixelFile`` take
-        as it is. It shares no memory with the arguments.
+        The file, which lightkurve's ``KeplerTargetPixelFile`` and ``TessTargetPixelFile`` take. It
+        shares no memory with the arguments.
 
     Raises
     ------
@@ -384,7 +381,7 @@ def write_hdulist(hdulist, path, *, overwrite=False):
     Parameters
     ----------
     hdulist : astropy.io.fits.HDUList
-        What to write. Its headers get the checksums, too.
+        The file. Its headers get the checksums, too.
     {write}
 
     Examples
@@ -442,7 +439,7 @@ def read_truth(source):
 def _tpf_blocks(
     *, metadata, aperture, truth_columns, truth_maps, scene, truth_tables, simulated, **columns
 ):
-    """Return the blocks of a target pixel file; the arguments are those of `make_tpf_hdulist`."""
+    """Return the blocks of the file of `make_tpf_hdulist`."""
     if isinstance(metadata, str):
         metadata = TPFMetadata(mission=metadata, target_id=1)
     if not isinstance(metadata, TPFMetadata):
@@ -462,7 +459,7 @@ def _tpf_blocks(
 
 
 def _cosmic_ray_hdu(metadata, values, simdata):
-    """Return the list of cosmic rays of files that have no column of them."""
+    """Return the list of cosmic rays of files without a column of them."""
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
     columns = [
@@ -479,7 +476,7 @@ def _cosmic_ray_hdu(metadata, values, simdata):
 
 
 def _checked_columns(mission, values):
-    """Return the arrays that are there, by the names in the file, checked against each other."""
+    """Return the arrays by their names in the file, checked against each other."""
     cube = np.shape(values["flux"])
     if len(cube) != 3 or 0 in cube:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {cube}")
@@ -506,7 +503,7 @@ def _checked_columns(mission, values):
 
 
 def _checked_times(mission, values, shape):
-    """Return times, cadence numbers and quality flags: no data where Kepler and K2 have no time."""
+    """Return times, numbers and quality flags of cadences."""
     time = _floats("time", plain_time(values["time"], mission.time_format, "time"), shape)
     known = time[np.isfinite(time)]
     if known.size == 0:
@@ -526,7 +523,6 @@ def _checked_times(mission, values, shape):
 
 
 def _floats(name, values, shape, *, broadcast=False):
-    """Return an array of floats of a shape, without infinities."""
     array = np.asarray(values)
     if array.dtype.kind not in "iufb":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
@@ -558,12 +554,11 @@ def _aperture_bits(aperture, shape):
 
 
 def _write(path, write, *, overwrite):
-    """Open a stream to a file that is there as a whole or not at all, and write to it."""
     if not Path(path).name.lower().endswith((".fits", ".fits.gz")):
         raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
     with atomic_path(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
         if temporary.suffix.lower() == ".gz":
-            # No name and no time in it: the same contents give the same file.
+            # Without name and time, so that the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 write(compressed)
         else:
