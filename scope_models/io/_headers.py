@@ -24,7 +24,7 @@ CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880
 _NO_CHECKSUM = "0" * 16
 _FORMS = {"i4": "J", "f4": "E", "f8": "D"}
-# Characters between digits and letters.
+# Characters between digits and letters, which a checksum must not have.
 _EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
 # The first cards of each kind of HDU, as astropy writes them.
 _PRIMARY, _IMAGE, _TABLE = (

@@ -108,7 +108,7 @@ class Truth(Value):
 
     @property
     def lost_fraction(self):
-        """Part of each star's light off the stamp at the farthest."""
+        """Part of each star's light off the stamp where the motion takes it farthest."""
         return self._found("lost_fraction")
 
     @property

@@ -69,8 +69,8 @@ class TPFMetadata(Value):
     orientation : float or Quantity, optional
         Position angle of growing rows, deg from north to east. At 0, columns grow to the west.
     matrix : tuple of float, optional
-        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: steps to the
-        west and to the north along columns and rows.
+        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
+        along columns and rows is to the west and to the north.
     magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
