@@ -1,4 +1,4 @@
-"""The door for values with units: the one place where quantities, times and masks become arrays."""
+"""The one place where quantities, times and masked values become arrays."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -25,32 +25,30 @@ DIGITAL += tuple((u.electron / other, u.electron / u.adu) for other in (u.ct, u.
 
 
 def native(array):
-    """Return a new array in the machine's byte order; FITS has the other one."""
+    """Return a new array in the machine's byte order."""
     array = np.asarray(array)
     return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
 def _unmasked(value):
-    """Return an array with its unit, without its mask, as floats with NaN where it was masked."""
+    """Return an array with its unit, and NaN in the place of masked values."""
     mask = getattr(value, "mask", None)
     if mask is None or callable(mask):  # a method of pandas' series
         return value
-    plain = getattr(value, "unmasked", getattr(value, "data", value))
-    plain = getattr(plain, "data", plain) if isinstance(plain, np.ma.MaskedArray) else plain
-    unit = getattr(plain, "unit", getattr(value, "unit", None))
+    plain = np.ma.getdata(getattr(value, "unmasked", value))
+    unit = getattr(value, "unit", None) or getattr(plain, "unit", None)
+    plain = without_unit(plain)
     if np.any(mask):
-        filled = np.array(getattr(plain, "value", plain), dtype=float)
-        filled[np.broadcast_to(mask, filled.shape)] = np.nan
-        plain = filled
-    return plain if unit is None or hasattr(plain, "unit") else plain << unit
+        plain = np.where(mask, np.nan, np.asarray(plain, dtype=float))
+    return plain if unit is None else plain << unit
 
 
 def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     """Return an argument in its documented unit, as an array of floats; masked values become NaN.
 
-    Plain numbers are in ``unit`` already: "" for none, None for any, as of relative values. With
-    a ``pixel_scale`` in arcseconds, angles convert to pixels and back; without it they are refused.
-    Errors name the argument: TypeError without numbers, ValueError if the unit does not convert.
+    Plain numbers are in ``unit`` already: "" for none, None for any. With a ``pixel_scale`` in
+    arcseconds, angles convert to pixels and back. Errors name the argument: TypeError without
+    numbers, ValueError if the unit does not convert.
     """
     any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):
@@ -97,10 +95,9 @@ def plain_number(value, unit, name, **options):
 
 
 def plain_time(value, time_format, name):
-    """Return times as days from a mission's zero of time.
+    """Return times as days from the zero of "bkjd" or "btjd"; None refuses a Time.
 
-    ``time_format`` is "bkjd" or "btjd", the zeros BJD - 2454833 and BJD - 2457000 (TDB); None
-    refuses a Time. Plain numbers that are Julian dates are refused.
+    Plain numbers that are Julian dates are refused.
     """
     if isinstance(value, (list, tuple)) and any(isinstance(item, Time) for item in value):
         value = Time(value)
@@ -126,7 +123,7 @@ def without_unit(value):
 
 
 def plain_tree(value, other=None):
-    """Return nested values as Python's own; ``other`` is called for what JSON cannot hold."""
+    """Return nested values as Python's own; ``other`` converts what JSON cannot hold."""
     if isinstance(value, np.generic):
         return value.item()
     if value is None or isinstance(value, (str, int, float)):
@@ -139,7 +136,7 @@ def plain_tree(value, other=None):
 
 
 def values_of(table, name):
-    """Return a column as floats without unit, NaN where there is no value or no column."""
+    """Return a column as floats, NaN where there is no value or no column."""
     if name not in table.colnames:
         return np.full(len(table), np.nan)
     return np.ma.filled(np.ma.asarray(table[name].value, dtype=float), np.nan)
@@ -159,12 +156,10 @@ def _hint(unit):
 
 
 def _holds_quantities(value):
-    """Return whether a value is a sequence, of sequences or not, with a quantity in it."""
     return isinstance(value, (list, tuple)) and any(
         isinstance(item, u.Quantity) or _holds_quantities(item) for item in value
     )
 
 
 def _joined(values):
-    """Return the quantity of a sequence of quantities, or of such sequences."""
     return u.Quantity([_joined(v) if isinstance(v, (list, tuple)) else v for v in values])

@@ -18,7 +18,7 @@ __all__ = [
 
 @contextmanager
 def solvable():
-    """Raise failures of linear algebra as an error of the file, whose pixels do not suffice."""
+    """Raise failures of linear algebra as an error of the file."""
     try:
         yield
     except np.linalg.LinAlgError as error:
@@ -40,7 +40,7 @@ def checked_model(name, model):
 def checked_number(
     name, value, unit="", *, positive=False, any_sign=False, at_most=np.inf, below=np.inf, **options
 ):
-    """Return a finite number in a unit as a float; ``options`` are those of `plain_number`."""
+    """Return a finite float in a unit; ``options`` are those of `plain_number`."""
     value = plain_number(value, unit, name, **options)
     if not np.isfinite(value):
         raise ValueError(f"`{name}` must be finite, got {value}")
@@ -57,7 +57,7 @@ def checked_number(
 
 
 def number(default=MISSING, unit="", **options):
-    """Return a field of a dataclass, a number or a pair, that `check_fields` brings to its unit."""
+    """Return a field of a dataclass, a number or pair, that `check_fields` brings to its unit."""
     check = checked_pair if isinstance(default, tuple) else checked_number
     return field(default=default, metadata={"check": check, "unit": unit, **options})
 
@@ -69,7 +69,7 @@ def integer(default, smallest, largest=None):
 
 
 def check_fields(instance):
-    """Check each field that has a ``check``, as a `number` has; None stays as a default."""
+    """Check each `number` and `integer` of a dataclass; None stays as a default."""
     for item in fields(instance):
         value, options = getattr(instance, item.name), dict(item.metadata)
         if options and not (value is None and item.default is None):
@@ -105,7 +105,6 @@ def checked_int32(name, values, shape=None):
 
 
 def checked_pair(name, pair, unit="", **options):
-    """Return column and row as two finite floats in a unit."""
     try:
         column, row = pair
     except (TypeError, ValueError) as error:
@@ -115,7 +114,7 @@ def checked_pair(name, pair, unit="", **options):
 
 
 def checked_mask(name, mask, shape):
-    """Return a boolean mask of a shape that chooses one pixel at least."""
+    """Return a boolean mask of a shape with a pixel in it."""
     mask = np.asarray(mask)
     is_mask = mask.dtype.kind == "b" or (mask.dtype.kind in "iu" and np.isin(mask, (0, 1)).all())
     if not is_mask or mask.shape != tuple(shape):
@@ -127,7 +126,6 @@ def checked_mask(name, mask, shape):
 
 
 def checked_matrix(name, matrix):
-    """Return the four numbers of an invertible matrix of a projection."""
     try:
         a, b, c, d = (checked_number(name, value, any_sign=True) for value in matrix)
     except (TypeError, ValueError) as error:
@@ -138,7 +136,7 @@ def checked_matrix(name, matrix):
 
 
 def checked_weights(name, weights, shape):
-    """Return weights of the pixels of each cadence; NaN where a cadence cannot be used."""
+    """Return the weights of pixels; NaN where a cadence cannot be used."""
     weights = np.asarray(weights)
     if weights.dtype.kind not in "biuf" or weights.shape != tuple(shape):
         wanted = f"weights of shape {tuple(shape)}"
@@ -163,7 +161,7 @@ def on_stamp(place, shape):
 
 
 def checked_cadences(name, mask, n, *, default):
-    """Return a boolean mask of n cadences; None stands for the default in all of them."""
+    """Return a boolean mask of n cadences; None stands for the default."""
     if mask is None:
         return np.full(n, default)
     mask = np.asarray(mask)
@@ -175,6 +173,6 @@ def checked_cadences(name, mask, n, *, default):
 
 
 def one_line(text):
-    """Return a text in one line, with escapes in the place of characters that do not print."""
+    """Return a text in one line, with escapes of characters that do not print."""
     shown = " ".join(str(text).split())
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)

@@ -12,7 +12,7 @@ __all__ = ["one_thread"]
 
 @cache
 def _libraries():
-    """Return NumPy's and SciPy's libraries of linear algebra; to find them takes milliseconds."""
+    """Return NumPy's and SciPy's libraries of linear algebra, once: this takes milliseconds."""
     importlib.import_module("scipy.linalg")  # SciPy's own is found only once it is loaded
     return ThreadpoolController().select(user_api="blas").lib_controllers
 

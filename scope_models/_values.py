@@ -39,20 +39,18 @@ class Value:
 
 
 def frozen(array):
-    """Return a read-only array, a copy if this one or its base can be written to."""
-    array = owner = np.asarray(array)
-    while isinstance(owner, np.ndarray):
-        if owner.flags.writeable:
-            array = array.copy()
-            array.flags.writeable = False
-            return array
+    """Return a read-only array, a copy if it or its base can be written to."""
+    owner = array = np.asarray(array)
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
         owner = owner.base
+    if isinstance(owner, np.ndarray):
+        array = array.copy()
+        array.flags.writeable = False
     return array
 
 
 def html_table(title, rows):
-    """Return a title and a table of names and values as HTML."""
-    texts = [(escape(str(name)), escape(str(value))) for name, value in rows.items()]
+    texts = ([escape(str(text)) for text in row] for row in rows.items())
     cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in texts)
     return f"<p>{escape(title)}</p><table>{cells}</table>"
 

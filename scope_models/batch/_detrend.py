@@ -15,11 +15,10 @@ from scope_models.batch.results import DATA_SET, write_star
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, explains, pos_corr_track
 from scope_models.io import read_pixels, read_tpf
-from scope_models.io._atomic import atomic_path
 from scope_models.io._light_curves import Collection, ccd_label, sha256
-from scope_models.io._opening import cards_of, naming
+from scope_models.io._opening import atomic_path, cards_of, naming
 from scope_models.io.tpf import write_hdulist
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.scene import Motion
 
 __all__ = [

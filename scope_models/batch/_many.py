@@ -14,7 +14,7 @@ from astropy.table import Table
 from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
-from scope_models.io._atomic import identity
+from scope_models.io._opening import identity
 
 __all__ = ["FITS", "RAISES", "RUN", "UNITS", "file_state", "medians", "run_files"]
 

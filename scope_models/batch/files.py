@@ -18,14 +18,13 @@ from scope_models.batch._many import FITS, RAISES, RUN, run_files
 from scope_models.batch.results import check_data_set
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.io import read_pixels, read_tpf
-from scope_models.io._atomic import check_output
 from scope_models.io._light_curves import Collection
-from scope_models.io._opening import naming
+from scope_models.io._opening import check_output, naming
 from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial, TransitModel
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 

@@ -16,7 +16,7 @@ from scope_models._version import __version__
 from scope_models.batch._store import listed, read_records
 from scope_models.batch.results import read_light_curve, read_results
 from scope_models.io import read_pixels
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 from scope_models.missions import MISSIONS
 
 __all__ = ["write_report"]

@@ -14,7 +14,7 @@ from astropy.table import QTable
 from scope_models._arrays import native
 from scope_models.batch._many import UNITS
 from scope_models.batch._store import FILE, read_records
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 
 __all__ = ["read_results"]
 

@@ -20,7 +20,7 @@ from scope_models._version import __version__
 from scope_models.batch._store import Store
 from scope_models.batch._workers import check_client, checked_tasks, computed
 from scope_models.exceptions import FailedStarsWarning
-from scope_models.io._atomic import atomic_path, remove_temporaries
+from scope_models.io._opening import atomic_path, remove_temporaries
 
 __all__ = ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"]
 

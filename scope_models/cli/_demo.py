@@ -29,7 +29,7 @@ def run(arguments):
     import numpy as np
     from tqdm import tqdm
 
-    from scope_models.io._atomic import atomic_path, check_output
+    from scope_models.io._opening import atomic_path, check_output
 
     folder = Path(arguments.output_dir)
     paths = [folder / name for name in _NAMES]

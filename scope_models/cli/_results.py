@@ -52,7 +52,7 @@ def _score(arguments):
     part of the cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for
     the truth: dependence on the place within the pixel, and steps from pixel to pixel.
     """
-    from scope_models.io._atomic import atomic_path, check_output
+    from scope_models.io._opening import atomic_path, check_output
 
     if arguments.output is not None:
         check_output(arguments.output, overwrite=arguments.overwrite, inputs=arguments.input)

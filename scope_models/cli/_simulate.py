@@ -99,7 +99,7 @@ def run(arguments):
     Writes them with the truth to a target pixel file that lightkurve opens.
     """
     from scope_models.batch.files import named_detector
-    from scope_models.io._atomic import check_output
+    from scope_models.io._opening import check_output
 
     _batch.check_number(arguments, "cadences")
     if arguments.table is not None:

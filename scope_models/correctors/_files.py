@@ -9,9 +9,8 @@ from astropy.io import fits
 from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.io import read_pixels
-from scope_models.io._atomic import atomic_path, check_output
 from scope_models.io._light_curves import archive_hdulist, make_light_curve_hdulist
-from scope_models.io._opening import naming
+from scope_models.io._opening import atomic_path, check_output, naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 

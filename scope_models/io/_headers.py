@@ -1,8 +1,13 @@
-"""The headers and the pixel table of a target pixel file, and checks of their values."""
+"""Headers and data as they are in FITS files, above all in target pixel files.
+
+astropy's checks of each card would take ten times as long.
+"""
 
 import datetime as dt
+import io
+import math
 import warnings
-from dataclasses import dataclass
+from collections import namedtuple
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -10,21 +15,31 @@ import numpy as np
 from astropy.io import fits
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
-from scope_models._checks import checked_int32
 from scope_models._version import __version__
-from scope_models.io._blocks import card_texts
+from scope_models.io._opening import checksum_of
 
 __all__ = [
-    "COLLECTED", "OPTIMAL", "PixelColumn", "calendar_dates", "checked_columns", "make_headers",
-    "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection", "wcs_keywords",
+    "CHECKSUM_COMMENT", "COLLECTED", "OPTIMAL", "Block", "calendar_dates", "card_texts",
+    "column_cards", "make_headers", "pixel_block", "tan_projection", "wcs_keywords", "write_blocks",
 ]  # fmt: skip
 
+CHECKSUM_COMMENT = "checksum of the FITS standard"
+_BLOCK = 2880
+_NO_CHECKSUM = "0" * 16
+_FORMS = {"i4": "J", "f4": "E", "f8": "D"}
+# Characters between digits and letters, which a checksum must not have.
+_EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
+# The first cards of each kind of HDU, as astropy writes them.
+_PRIMARY, _IMAGE, _TABLE = (
+    [(card.keyword, card.value, card.comment) for card in hdu.header.cards]
+    for hdu in (fits.PrimaryHDU(), fits.ImageHDU(np.zeros((1, 1))), fits.BinTableHDU())
+)
 #: Bits of the pixels that are collected, and of those in the optimal aperture.
 COLLECTED, OPTIMAL = 1, 2
 _LAYOUTS = Path(__file__).with_name("layouts")
-# Names of cards on the coordinates of an image, and of those of a column without their numbers.
+# Keywords on coordinates of an image and, without their numbers, of a column.
 _WCS = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
+_PHYSICAL = ("CTYPE", "CUNIT", "CRVAL", "CDELT", "CRPIX")
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _CARDS = {
@@ -34,55 +49,154 @@ _CARDS = {
 }  # fmt: skip
 _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers with 64-bit integers
 _ROLLING_BAND_DURATIONS = 5
-_CUBES = "flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"
-_UNITS = dict.fromkeys(_CUBES, "electron / s")
-_UNITS |= {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
-_DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
+_DTYPES = {"D": ">f8", "E": ">f4", "J": ">i4"}
 
 
-@dataclass(frozen=True)
-class PixelColumn:
-    name: str
-    kind: str
-    title: str
-    unit: str | None = None
-    display: str = ""
-    null: int | None = None
-    is_pixels: bool = False
+class Block:
+    """The header of an HDU as one text, and its image, its table or None.
 
-    def image_shape(self, shape):
-        """Return the shape of a cell's value, () for a number."""
-        if self.name == "RB_LEVEL":
-            return shape[0], _ROLLING_BAND_DURATIONS
-        return tuple(shape) if self.is_pixels else ()
+    ``cards`` follow those that begin each header; those of a table define its columns.
+    """
+
+    def __init__(self, cards, data=None):
+        if data is None:
+            start, sizes = _PRIMARY, {}
+        elif data.dtype.names is None:
+            bits = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
+            start, sizes = _IMAGE, {"BITPIX": bits, "NAXIS1": data.shape[1], "NAXIS2": len(data)}
+        else:
+            sizes = {"NAXIS1": data.dtype.itemsize, "NAXIS2": len(data), "TFIELDS": len(data.dtype)}
+            start = _TABLE
+        first = [(name, sizes.get(name, value), comment) for name, value, comment in start]
+        self.cards = "".join(card_texts([*first, *cards]))
+        self.data = data
+
+    def hdu(self):
+        """Return the HDU, which shares its memory with the block."""
+        header = fits.Header.fromstring(self.cards)
+        if self.data is None:
+            return fits.PrimaryHDU(header=header)
+        if self.data.dtype.names is None:
+            return fits.ImageHDU(self.data, header)
+        hdu = fits.BinTableHDU()
+        hdu.data = self.data
+        # The columns find their arrays in the table. References of their own would close a ring
+        # through the arrays' bases, which Python's collector of garbage does not see.
+        hdu.columns.__dict__.pop("_arrays", None)
+        for i, column in enumerate(hdu.columns, 1):
+            for attribute, keyword in (("disp", "TDISP"), ("unit", "TUNIT"), ("null", "TNULL")):
+                if f"{keyword}{i}" in header:
+                    setattr(column, attribute, header[f"{keyword}{i}"])
+            column.__dict__.pop("array", None)
+        hdu.header = header
+        return hdu
+
+    def write(self, stream):
+        """Write header, checksums and data to a binary stream."""
+        data = np.empty(0, np.uint8)
+        if self.data is not None:
+            data = np.ascontiguousarray(self.data, self.data.dtype.newbyteorder(">"))
+            data = data.reshape(-1).view(np.uint8)
+        total = checksum_of(data)
+        text = self.cards + _card("CHECKSUM", _NO_CHECKSUM, CHECKSUM_COMMENT)
+        text += _card("DATASUM", str(total), CHECKSUM_COMMENT)
+        text = (text + "END").encode("ascii")
+        text += b" " * (-len(text) % _BLOCK)
+        checksum = _encoded(checksum_of(text, total) ^ 0xFFFFFFFF)
+        stream.write(text.replace(f"'{_NO_CHECKSUM}'".encode(), f"'{checksum}'".encode()))
+        stream.write(data.data)
+        stream.write(bytes(-len(data) % _BLOCK))
 
 
+def write_blocks(blocks, stream):
+    """Write blocks and HDUs to a binary stream."""
+    for block in blocks:
+        if isinstance(block, Block):
+            block.write(stream)
+            continue
+        block.add_checksum(when=CHECKSUM_COMMENT)
+        whole = io.BytesIO()
+        fits.HDUList([fits.PrimaryHDU(), block]).writeto(whole)
+        stream.write(whole.getbuffer()[_BLOCK:])
+
+
+def card_texts(cards):
+    """Return the texts of cards, which are texts or (keyword, value, comment)."""
+    return [card if isinstance(card, str) else _card(*card) for card in cards]
+
+
+def _card(keyword, value, comment):
+    """Return the text of a card; astropy makes all but the plainest."""
+    if isinstance(value, str):
+        text = f"'{value:8}'".ljust(20)
+        plain = value != "" and "'" not in value and value.isascii() and value.isprintable()
+    elif isinstance(value, bool):
+        text, plain = f"{'FT'[value]:>20}", True
+    else:
+        text = f"{value!s:>20}".replace("e", "E")
+        plain = len(text) == 20 and isinstance(value, int | float) and math.isfinite(value)
+    card = f"{keyword:8}= {text}" + (f" / {comment}" if comment else "")
+    if plain and len(card) <= 80:
+        return f"{card:80}"
+    return str(fits.Card(keyword, value, comment))
+
+
+def column_cards(rows, titles):
+    """Return the cards that define columns, with titles of some."""
+    cards = []
+    for i, name in enumerate(rows.dtype.names, 1):
+        field = rows.dtype[name]
+        title = f"column title: {titles[name]}" if name in titles else ""
+        kind, size = field.base.str[1:], math.prod(field.shape)
+        number = f"{size if size > 1 else ''}{_FORMS.get(kind)}"
+        form = f"{field.itemsize}A" if kind[0] == "S" else number
+        cards += [(f"TTYPE{i}", name, title), (f"TFORM{i}", form, "")]
+        if field.shape:
+            cards.append((f"TDIM{i}", f"({','.join(map(str, field.shape[::-1]))})", ""))
+    return cards
+
+
+def _encoded(value):
+    """Return a 32-bit number as the 16 letters and digits of the card CHECKSUM."""
+    letters = [0] * 16
+    for i, byte in enumerate(value.to_bytes(4, "big")):
+        quarter, rest = divmod(byte, 4)
+        four = [0x30 + quarter + rest, *[0x30 + quarter] * 3]
+        for j in (0, 2):
+            while not _EXCLUDED.isdisjoint(four[j : j + 2]):
+                four[j] += 1
+                four[j + 1] -= 1
+        letters[i::4] = four
+    return bytes(letters[-1:] + letters[:-1]).decode("ascii")
+
+
+_PixelColumn = namedtuple(
+    "_PixelColumn",
+    "name kind title unit display null is_pixels",
+    defaults=(None, "", None, False),
+)
 _COLUMNS = (
-    PixelColumn("TIME", "D", "times of mid-cadence"),
-    PixelColumn("TIMECORR", "E", "barycentric minus spacecraft time", "d"),
-    PixelColumn("CADENCENO", "J", "number of the cadence", display="I10"),
-    PixelColumn("RAW_CNTS", "J", "raw counts", "count", "I8", -1, is_pixels=True),
-    PixelColumn("FLUX", "E", "flux less background", "e-/s", is_pixels=True),
-    PixelColumn("FLUX_ERR", "E", "standard deviation of it", "e-/s", is_pixels=True),
-    PixelColumn("FLUX_BKG", "E", "background", "e-/s", is_pixels=True),
-    PixelColumn("FLUX_BKG_ERR", "E", "its uncertainty", "e-/s", is_pixels=True),
-    PixelColumn("COSMIC_RAYS", "E", "cosmic rays", "e-/s", is_pixels=True),
-    PixelColumn("QUALITY", "J", "quality flags"),
-    PixelColumn("POS_CORR1", "E", "offset in columns", "pixel"),
-    PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
-    PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
+    _PixelColumn("TIME", "D", "times of mid-cadence"),
+    _PixelColumn("TIMECORR", "E", "barycentric minus spacecraft time", "d"),
+    _PixelColumn("CADENCENO", "J", "number of the cadence", display="I10"),
+    _PixelColumn("RAW_CNTS", "J", "raw counts", "count", "I8", -1, is_pixels=True),
+    _PixelColumn("FLUX", "E", "flux less background", "e-/s", is_pixels=True),
+    _PixelColumn("FLUX_ERR", "E", "standard deviation of it", "e-/s", is_pixels=True),
+    _PixelColumn("FLUX_BKG", "E", "background", "e-/s", is_pixels=True),
+    _PixelColumn("FLUX_BKG_ERR", "E", "its uncertainty", "e-/s", is_pixels=True),
+    _PixelColumn("COSMIC_RAYS", "E", "cosmic rays", "e-/s", is_pixels=True),
+    _PixelColumn("QUALITY", "J", "quality flags"),
+    _PixelColumn("POS_CORR1", "E", "offset in columns", "pixel"),
+    _PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
+    _PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
 )
 
 
-def make_headers(metadata, time, timecorr, used, aperture):
-    """Return the cards of file, pixel table (without its columns) and aperture, as texts.
-
-    Times are days, NaN where unknown; ``used`` cadences have a time and any flux.
-    """
+def make_headers(metadata, values, aperture, simdata):
+    """Return texts of the cards of file, pixel table (without its columns) and aperture."""
     optimal, collected = aperture & OPTIMAL > 0, aperture & COLLECTED > 0
-    sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
-    values = {
-        **_facts(metadata), **_span(metadata, time, timecorr, used), **sky,
+    facts = {
+        **_facts(metadata), **_span(metadata, values), **tan_projection(metadata, aperture.shape),
         "CRVAL1P": metadata.column, "CRVAL2P": metadata.row, "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
     }  # fmt: skip
@@ -91,13 +205,14 @@ def make_headers(metadata, time, timecorr, used, aperture):
     names["TMOFST"] = None if unknown else f"TMOFST{metadata.camera}{metadata.ccd}"
     headers = []
     for cards in _template(metadata.layout.template):
-        filled = (
-            (name, values[keyword], comment)
-            if values.get(keyword) is not None
-            else f"{name:8}{text[8:]}"
-            for keyword, text, comment in cards
-            if (name := names.get(keyword, keyword)) is not None
-        )
+        filled = []
+        for keyword, text, comment in cards:
+            name, value = names.get(keyword, keyword), facts.get(keyword)
+            if keyword == "SIMDATA":
+                filled.append(simdata)
+            elif name is not None:
+                card = f"{name:8}{text[8:]}" if value is None else (name, value, comment)
+                filled.append(card)
         headers.append(card_texts(filled))
     if metadata.layout.template != metadata.mission.lower():
         comment = "kind of telescope; the layout is another's"
@@ -143,12 +258,15 @@ def _facts(metadata):
     }  # fmt: skip
 
 
-def _span(metadata, time, timecorr, used):
+def _span(metadata, values):
+    """Return the cards on the times, days; cadences of the exposure have a time and any flux."""
     zero, delta, live = metadata.layout.time_zero, metadata.cadence_days, metadata.duty_cycle
-    timed = np.flatnonzero(np.isfinite(time))[[0, -1]]
-    start, stop = time[timed[0]] - delta / 2, time[timed[1]] + delta / 2
+    time, timed = values["TIME"], np.isfinite(values["TIME"])
+    used = np.sum(timed & np.isfinite(values["FLUX"]).any(axis=(1, 2)))
+    ends = np.flatnonzero(timed)[[0, -1]]
+    start, stop = time[ends] + [-delta / 2, delta / 2]
     dates = calendar_dates(zero, (start, stop))
-    spacecraft = (time - timecorr)[timed] + (zero - 2400000.5)
+    spacecraft = (time - values.get("TIMECORR", np.nan))[ends] + (zero - 2400000.5)
     first, last = (value.item() if np.isfinite(value) else None for value in spacecraft)
     return {
         "BJDREFI": int(zero), "EXPOSURE": used * delta * live, "TELAPSE": stop - start,
@@ -167,86 +285,79 @@ def calendar_dates(zero, days):
         return tuple(times.utc.isot.tolist())
 
 
-def pixel_column_cards(columns, metadata, shape):
-    """Return keyword, value and comment of the cards of the columns of the pixel table."""
-    cards, places, sky = [], [], tan_projection(metadata, shape)
+def pixel_block(metadata, values, cards, image):
+    """Return the pixel table: columns without values have NaN or their null value.
+
+    The columns of pixels have the coordinates of the aperture, of which ``image`` are the cards.
+    """
+    n_cadences, *shape = values["FLUX"].shape
+    image = {text[:8].rstrip(): text for text in image}
+    if metadata.matrix is not None:  # which is not of an angle
+        image |= {name: image[name].partition(",")[0] for name in _MATRIX}
     displays = dict(zip("DEJ", metadata.layout.displays, strict=True))
+    columns = [item for item in _COLUMNS if item.name not in metadata.layout.absent_columns]
+    fields, defined, places = [], [], []
     for n, column in enumerate(columns, 1):
-        size = column.image_shape(shape)
+        size = tuple(shape) if column.is_pixels else ()
+        if column.name == "RB_LEVEL":
+            size = shape[0], _ROLLING_BAND_DURATIONS
+        fields.append((column.name, _DTYPES[column.kind], size))
         unit = metadata.layout.time_unit if column.name == "TIME" else column.unit
-        defined = [
-            ("TTYPE", column.name, f"column title: {column.title}"),
-            ("TFORM", f"{size[0] * size[1] if size else ''}{column.kind}", "column format"),
-            ("TUNIT", unit, "column unit"),
-            ("TNULL", column.null, "value of pixels without data"),
-            ("TDISP", column.display or displays[column.kind], "column display format"),
-            ("TDIM", f"({size[1]},{size[0]})" if size else None, "column dimensions"),
+        defined += [
+            (f"TTYPE{n}", column.name, f"column title: {column.title}"),
+            (f"TFORM{n}", f"{math.prod(size) if size else ''}{column.kind}", "column format"),
+            (f"TUNIT{n}", unit, "column unit"),
+            (f"TNULL{n}", column.null, "value of pixels without data"),
+            (f"TDISP{n}", column.display or displays[column.kind], "column display format"),
+            (f"TDIM{n}", f"({size[1]},{size[0]})" if size else None, "column dimensions"),
         ]
-        cards += [(f"{name}{n}", value, text) for name, value, text in defined if value is not None]
         if column.is_pixels:
-            places += _column_wcs(n, metadata, sky)
-    return [*cards, *places]
+            names = _physical_keywords(n) | wcs_keywords(n)
+            places += [f"{own:8}{image[name][8:]:72}" for name, own in names.items()]
+    rows = np.empty(n_cadences, dtype=fields)
+    for column in columns:
+        missing = np.nan if column.null is None else column.null
+        rows[column.name] = values.get(column.name, missing)
+    defined = [card for card in defined if card[1] is not None]
+    return Block([*defined, *places, *cards], rows)
 
 
 def wcs_keywords(n):
-    """Return the keywords on the coordinates of column n, by those of an image."""
+    """Return keywords on the coordinates of column n, by those of an image."""
     axes = {f"{name}{i}": f"{i}{own}{n}" for name, own in _WCS.items() for i in "12"}
     return axes | {name: f"{name[2]}{name[4]}PC{n}" for name in _MATRIX}
 
 
-def _column_wcs(n, metadata, sky):
-    keywords = wcs_keywords(n)
-    return [
-        (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
-        (f"WCAX{n}P", 2, "axes of the detector coordinates"),
-        (f"1CTY{n}P", "RAWX", "axis 1: CCD column"), (f"2CTY{n}P", "RAWY", "axis 2: CCD row"),
-        (f"1CUN{n}P", "PIXEL", "unit of axis 1"), (f"2CUN{n}P", "PIXEL", "unit of axis 2"),
-        (f"1CRV{n}P", metadata.column, "CCD column of the first pixel"),
-        (f"2CRV{n}P", metadata.row, "CCD row of the first pixel"),
-        (f"1CDL{n}P", 1.0, "step of axis 1"), (f"2CDL{n}P", 1.0, "step of axis 2"),
-        (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
-        (f"WCAX{n}", 2, "axes of the sky coordinates"),
-        *((keywords[name], value, comment) for name, (value, comment) in sky.items()),
-    ]  # fmt: skip
+def _physical_keywords(n):
+    axes = {f"{name}{i}P": f"{i}{_WCS[name][:3]}{n}P" for name in _PHYSICAL for i in "12"}
+    return {"WCSNAMEP": f"WCSN{n}P", "WCSAXESP": f"WCAX{n}P", **axes, "WCSAXES": f"WCAX{n}"}
 
 
 def tan_projection(metadata, shape):
-    """Return value and comment, by keyword, of the gnomonic projection about the target."""
+    """Return the values, by keyword, of the gnomonic projection about the target."""
     ny, nx = shape
     x_0 = (nx - 1) / 2 if metadata.x_0 is None else metadata.x_0
     y_0 = (ny - 1) / 2 if metadata.y_0 is None else metadata.y_0
     ra, dec = metadata.position
     scale = metadata.pixel_scale / 3600.0
-    cosine, sine = (f(np.radians(metadata.orientation)).item() for f in (np.cos, np.sin))
-    matrix, words = metadata.matrix, ("",) * 4
+    matrix = metadata.matrix
     if matrix is None:
+        cosine, sine = (f(np.radians(metadata.orientation)).item() for f in (np.cos, np.sin))
         matrix = cosine, 0.0 - sine, sine, cosine
-        words = (f", {name}(orientation)" for name in ("cos", "-sin", "sin", "cos"))
     return {
-        "CTYPE1": ("RA---TAN", "right ascension, gnomonic projection"),
-        "CTYPE2": ("DEC--TAN", "declination, gnomonic projection"),
-        "CRPIX1": (x_0 + 1.0, "[pixel] reference pixel along axis 1"),
-        "CRPIX2": (y_0 + 1.0, "[pixel] reference pixel along axis 2"),
-        "CRVAL1": (ra, "[deg] right ascension of that pixel"),
-        "CRVAL2": (dec, "[deg] declination of that pixel"),
-        "CUNIT1": ("deg", "unit of right ascension"),
-        "CUNIT2": ("deg", "unit of declination"),
-        "CDELT1": (-scale, "[deg] pixel scale, east to the left"),
-        "CDELT2": (scale, "[deg] pixel scale"),
-        **{
-            name: (value, f"rotation matrix{word}")
-            for name, value, word in zip(_MATRIX, matrix, words, strict=True)
-        },
-    }
+        "CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRPIX1": x_0 + 1.0, "CRPIX2": y_0 + 1.0,
+        "CRVAL1": ra, "CRVAL2": dec, "CUNIT1": "deg", "CUNIT2": "deg", "CDELT1": -scale,
+        "CDELT2": scale, **dict(zip(_MATRIX, matrix, strict=True)),
+    }  # fmt: skip
 
 
 def _fill(headers, extra_cards):
-    """Fill cards without a value with those of the caller, or add them to the primary header."""
+    """Fill cards without a value, or add cards to the primary header."""
     for keyword, given in extra_cards.items():
         card = _checked_card(keyword, given)
         start = f"{card.keyword:8}"
         places = [(h, i) for h in headers for i, text in enumerate(h) if text.startswith(start)]
-        # The text after "=" begins with a slash where there is a comment alone.
+        # A text begins with a slash where there is a comment alone.
         known = any(header[i][10:].strip()[:1] not in ("", "/") for header, i in places)
         if card.keyword in _PROTECTED or known:
             raise ValueError(f"`extra_cards` must not replace {keyword}, which the file sets")
@@ -272,92 +383,3 @@ def _checked_card(keyword, given):
     if isinstance(value, str) and "EVEREST" in value.upper() and keyword.upper() == "COMMENT":
         raise ValueError("`extra_cards` must have no COMMENT with EVEREST: readers misread it")
     return card
-
-
-def pixel_columns(mission):
-    return [column for column in _COLUMNS if column.name not in mission.absent_columns]
-
-
-def table_rows(columns, values):
-    """Return the pixel table as in the file, NaN or the null value in columns without values."""
-    n_cadences, *stamp = values["FLUX"].shape
-    fields = [(item.name, _DTYPES[item.kind], item.image_shape(stamp)) for item in columns]
-    rows = np.empty(n_cadences, dtype=fields)
-    as_bytes = rows.view(np.uint8).reshape(n_cadences, -1)
-    for column in columns:
-        given = values.get(column.name)
-        field, start = rows.dtype.fields[column.name]
-        if given is None:
-            rows[column.name] = np.nan if column.null is None else column.null
-        elif given.ndim == 3:
-            # One swap of bytes in one piece, then rows of bytes: 5 times faster than by field.
-            swapped = np.ascontiguousarray(given, dtype=field.base)
-            cells = swapped.view(np.uint8).reshape(n_cadences, -1)
-            as_bytes[:, start : start + field.itemsize] = cells
-        else:
-            rows[column.name] = given
-    return rows
-
-
-def checked_columns(mission, values):
-    """Return the arrays that are there, by the names in the file, checked against each other."""
-    cube = np.shape(values["flux"])
-    if len(cube) != 3 or 0 in cube:
-        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {cube}")
-    checked = _checked_times(mission, values, cube[:1])
-    for name, unit in _UNITS.items():
-        value, shape = values[name], cube if name in _CUBES else cube[:1]
-        # Only times, quantities and masked values have these; plain arrays are not copied.
-        if any(hasattr(value, attribute) for attribute in ("unit", "mask", "jd1")):
-            value = plain_array(value, unit, name)
-        if value is not None:
-            checked[name.upper()] = _floats(name, value, shape, broadcast=name in _CUBES)
-    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
-    if np.any(error <= 0):
-        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
-    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
-        raise ValueError("`flux_err` must not be NaN where `flux` is not")
-    if np.any(background_error < 0):
-        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
-    if values["raw_cnts"] is not None:
-        checked["RAW_CNTS"] = checked_int32("raw_cnts", values["raw_cnts"], cube)
-        if checked["RAW_CNTS"].min() < -1:
-            raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
-    return checked
-
-
-def _checked_times(mission, values, shape):
-    """Return times, cadence numbers and quality flags: no data where Kepler and K2 have no time."""
-    time = _floats("time", plain_time(values["time"], mission.time_format, "time"), shape)
-    known = time[np.isfinite(time)]
-    if known.size == 0:
-        raise ValueError("`time` must have a finite value")
-    if np.any(np.diff(known) <= 0):
-        raise ValueError("`time` must increase from cadence to cadence")
-    number = checked_int32("cadenceno", values["cadenceno"], shape)
-    if number[0] < 1 or np.any(np.diff(number) <= 0):
-        raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
-    quality = checked_int32("quality", values["quality"], shape)
-    if quality.min() < 0:
-        raise ValueError(f"`quality` must not be negative, got {quality.min()}")
-    no_data = np.where(np.isnan(time), mission.quality.no_data, 0).astype(np.int32)
-    return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
-
-
-def _floats(name, values, shape, *, broadcast=False):
-    """Return an array of floats of a shape, without infinities."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "iufb":
-        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
-    if broadcast:
-        try:
-            array = np.broadcast_to(array, shape)
-        except ValueError:
-            raise ValueError(f"`{name}` must fit the shape {shape}, got {array.shape}") from None
-    if array.shape != shape:
-        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
-    if array.dtype.kind != "f":
-        return array.astype(float)
-    if np.any(np.abs(array) > np.finfo(np.float32).max):
-        raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
-    return array

@@ -1,8 +1,7 @@
-"""The door out for light curves: files that keep the header cards of the pixels that stay true.
+"""Files of light curves, which keep the header cards of the pixels that stay true.
 
-Names, keywords and columns of an archive's collection are those of MAST for contributed products:
-"File Naming Convention", "Common Metadata" and "Light-curve Metadata" of
-https://outerspace.stsci.edu/display/MASTDOCS.
+Names, keywords and columns of a collection are those of MAST: "File Naming Convention", "Common
+Metadata" and "Light-curve Metadata" of https://outerspace.stsci.edu/display/MASTDOCS.
 """
 
 import datetime as dt
@@ -22,22 +21,20 @@ from scope_models.io.pixels import read_pixels
 from scope_models.missions import Mission
 
 __all__ = [
-    "Collection", "archive_hdulist", "ccd_label", "ccd_name", "make_light_curve_hdulist",
-    "run_label", "sha256",
+    "Collection", "archive_hdulist", "ccd_label", "ccd_name", "make_light_curve_hdulist", "sha256",
 ]  # fmt: skip
 
-# What describes columns, images and their coordinates in the pixels' headers.
+# Cards on columns, images and their coordinates.
 _OF_COLUMNS = re.compile(r"\d|WC|T(TYPE|FORM|UNIT|DISP|DIM|NULL|SCAL|ZERO)\d|NAXIS")
-_OF_SIZES = re.compile("NAXIS")
-# What describes the pixels' file, the pipeline's aperture, or cadences that may have been left out.
+# Cards on the pixels' file, the pipeline's aperture, or cadences that may have been left out.
 _NO_LONGER_TRUE = NO_FACTS | {
     *("NEXTEND", "EXTNAME", "EXTVER", "INHERIT", "FILEVER", "TIMVERSN", "ORIGIN", "DATE"),
     *("CREATOR", "PROCVER", "EXPOSURE", "LIVETIME", "NPIXSAP", "NPIXMISS"),
     *("CDPP3_0", "CDPP6_0", "CDPP12_0", "CDPP0_5", "CDPP1_0", "CDPP2_0", "CROWDSAP", "FLFRCSAP"),
     *("TSTART", "TSTOP", "TELAPSE", "DATE-OBS", "DATE-END", "LC_START", "LC_END"),
 }
-#: Instrument and filter in names. TESS has one instrument without an acronym, for which the
-#: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.
+#: Instrument and filter in names. For instruments without an acronym, the convention takes a tag:
+#: phot, as in the collection TESS-SPOC.
 _INSTRUMENTS = {"TESS": ("phot", "tess")}
 _KEPLER = "kepler", "kepler"
 _RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}
@@ -48,13 +45,11 @@ _LONGEST_TARGET, _LONGEST_NAME = 30, 90  # names of a target with its run, and o
 def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     """Return the FITS file of a light curve, which lightkurve reads, of its target pixel file.
 
-    Cards that stay true are kept; those on columns, aperture and span of time are not. The first
-    of the columns is TIME, in days; ``cards`` (with comments) go into the primary header.
+    The first of the columns is TIME, in days; ``cards`` (with comments) go into the primary header.
     """
     series = read_pixels(tpf)
     if series.mission is None:
         raise ValueError("`tpf` names no known mission in MISSION or TELESCOP")
-    sources = [hdu.header for hdu in tpf.hdu[:3]]
     primary = fits.PrimaryHDU()
     new = [
         ("NEXTEND", 2, "number of standard extensions"),
@@ -65,22 +60,22 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
         ("CREATOR", "scope_models LightCurve", "program that made this file"),
         ("PROCVER", f"scope_models {__version__}", "software version"),
     ]
-    primary.header.extend([*new, *_kept(sources[0])], end=True)
+    primary.header.extend([*new, *_kept(tpf.hdu[0].header)], end=True)
     primary.header.update([("TELESCOP", series.mission.telescope, "telescope"), *cards])
     table = fits.BinTableHDU.from_columns(columns, name="LIGHTCURVE", ver=1)
     table.header["TUNIT1"] = (f"BJD - {series.mission.time_zero:.0f}", "days, barycentric (TDB)")
-    table.header.extend(_kept(sources[1]), end=True)
+    table.header.extend(_kept(tpf.hdu[1].header), end=True)
     table.header["BJDREFI"] = (int(series.mission.time_zero), "reference of TIME, integer part")
     table.header["BJDREFF"] = (0.0, "reference of TIME, fraction of the day")
     span = _span(columns[0].array, series)
     table.header.extend(span, end=True)
     primary.header.extend([card for card in span if card[0].startswith("DATE-")], end=True)
-    return fits.HDUList([primary, table, _aperture_hdu(tpf, sources, np.asarray(aperture))])
+    return fits.HDUList([primary, table, _aperture_hdu(tpf, np.asarray(aperture))])
 
 
-def _kept(header, left_out=_OF_COLUMNS):
+def _kept(header, left_out=_OF_COLUMNS.match):
     cards = (card for card in header.cards if card.keyword not in _NO_LONGER_TRUE)
-    return [card for card in cards if not left_out.match(card.keyword)]
+    return [card for card in cards if not left_out(card.keyword)]
 
 
 def _span(time, series):
@@ -100,23 +95,23 @@ def _span(time, series):
     ]
 
 
-def _aperture_hdu(tpf, sources, aperture):
-    """Return the aperture: bit 1 for pixels that are collected, bit 2 for those that are summed."""
-    bits = np.full(aperture.shape, COLLECTED, dtype=np.int32)
-    if len(sources) > 2:
+def _aperture_hdu(tpf, aperture):
+    """Return the aperture as bits of pixels that are collected, and that are summed."""
+    bits, cards = np.full(aperture.shape, COLLECTED, dtype=np.int32), []
+    if len(tpf.hdu) > 2:
         given = np.asarray(tpf.hdu[2].data)
         if given.dtype.kind in "iu" and given.shape == bits.shape:
             bits = given.astype(np.int32) & ~OPTIMAL
+        cards = _kept(tpf.hdu[2].header, re.compile("NAXIS").match)  # with its coordinates
     hdu = fits.ImageHDU(bits | np.where(aperture, OPTIMAL, 0).astype(np.int32), name="APERTURE")
-    if len(sources) > 2:
-        hdu.header.extend(_kept(sources[2], _OF_SIZES), end=True)  # with its coordinates
+    hdu.header.extend(cards, end=True)
     hdu.header["NPIXSAP"] = (int(aperture.sum()), "pixels in the aperture of the light curve")
     return hdu
 
 
 @dataclass(frozen=True)
 class Collection:
-    """A collection of light curves in an archive; checked when it is made."""
+    """A collection of light curves in an archive."""
 
     id: str
     lead: str  # full name of who leads the project
@@ -125,8 +120,7 @@ class Collection:
     doi: str = ""  # digital object identifier, which the archive gives
 
     def __post_init__(self):
-        for name in ("id", "lead", "version", "title", "doi"):
-            value = getattr(self, name)
+        for name, value in vars(self).items():
             if not isinstance(value, str) or not re.fullmatch(r"[ -~]{0,68}", value):
                 wanted = "text of at most 68 ASCII characters"
                 raise ValueError(f"`hlsp_{name}` must be {wanted}, got {value!r}")
@@ -139,8 +133,8 @@ class Collection:
             raise ValueError(f"`hlsp_version` must be a version as 1.0, got {self.version!r}")
 
     def name(self, cards):
-        """Return the name of the file of a star from the cards of its target pixel file."""
-        mission, run = Mission.from_header(cards), run_label(cards)
+        """Return the name of a star's file from the cards of its target pixel file."""
+        mission, (run, _) = Mission.from_header(cards), ccd_label(cards)
         target = re.sub(r"\s+", "", str(cards.get("OBJECT") or "")).lower()
         target = re.sub(r"[^a-z0-9+.-]+", "-", target).strip("+.-")
         if mission is None or not target:
@@ -153,21 +147,17 @@ class Collection:
         return name.lower()
 
 
-def run_label(cards):
-    """Return campaign, quarter or sector as it is in file names, "c05", "q12" or "s0015"."""
-    for keyword, form in _RUNS.items():
-        number = cards.get(keyword)
-        if isinstance(number, int) and number >= 0:
-            return form.format(number)
-    return ""
-
-
 def ccd_label(cards):
-    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown."""
+    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown.
+
+    The first is as it is in file names, "c05", "q12" or "s0015".
+    """
+    numbers = ((form, cards.get(keyword)) for keyword, form in _RUNS.items())
+    runs = (form.format(n) for form, n in numbers if isinstance(n, int) and n >= 0)
     channel = cards.get("CHANNEL")
     if channel is None and "CCD" in cards:
         channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
-    return run_label(cards), "" if channel is None else str(channel)
+    return next(runs, ""), "" if channel is None else str(channel)
 
 
 def ccd_name(cards):
@@ -182,9 +172,9 @@ def sha256(path):
 
 
 def archive_hdulist(hdus, series, collection, path, cards=()):
-    """Turn the file of a light curve of a `PixelSeries` into one of a collection; times are TDB.
+    """Turn the file of a light curve into one of a collection; times are TDB.
 
-    ``path`` is the target pixel file; further ``cards`` go into the primary header.
+    ``path`` is the target pixel file; ``cards`` go into the primary header.
     """
     primary, old = hdus[0].header, hdus[1]
     quality, columns = series.mission.quality_column, old.columns

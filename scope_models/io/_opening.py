@@ -1,9 +1,12 @@
-"""Reading FITS files that may be damaged, cut off or made to harm: columns and header cards."""
+"""Files: those to read may be damaged or made to harm, those written are there as a whole."""
 
 import gzip
 import io
+import os
+import secrets
+import shutil
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,21 +22,20 @@ from scope_models.exceptions import DamagedFileWarning
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
-    "MOST", "NO_FACTS", "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of",
-    "first_table", "making", "naming", "open_fits", "read_positions", "read_table",
-    "time_format_of",
+    "MOST", "NO_FACTS", "RefusedError", "atomic_path", "cards_of", "check_output", "checksum_of",
+    "column_of", "conf", "facts_of", "first_table", "identity", "making", "naming", "open_fits",
+    "read_positions", "read_table", "remove_temporaries", "time_format_of",
 ]  # fmt: skip
 
 #: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
 #: factor by which a compressed file may grow beyond 64 MiB.
 conf = SimpleNamespace(max_bytes=1 << 30, max_ratio=200)
 
-_GZIP = b"\x1f\x8b"
-_CHUNK = 1 << 20
 # Compressed files may always become so large: noise-free simulations compress very well.
 _SMALL = 64 << 20
 MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
+_PREFIX = ".scope-models-"
 _POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
 NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
@@ -48,11 +50,9 @@ class RefusedError(ValueError):
 
 @contextmanager
 def open_fits(path):
-    """Open a FITS file to read, with one kind of error for all kinds of damage.
+    """Open a FITS file; any damage is a ValueError that names it, a wrong checksum a warning.
 
-    It is read into memory, up to the limits in `scope_models.io.conf`, and each header is checked
-    before its data are read. The HDUs stay usable. Damage is a ValueError that names the file, and
-    a checksum that does not match a warning.
+    It is in memory, each header checked before its data are read: the HDUs stay usable.
     """
     content = _content(Path(path))
     try:
@@ -68,7 +68,7 @@ def open_fits(path):
 
 @contextmanager
 def naming(path):
-    """Let errors that concern a file begin with its name."""
+    """Let errors begin with the name of a file."""
     try:
         yield
     except ValueError as error:
@@ -79,7 +79,7 @@ def naming(path):
 
 @contextmanager
 def making(path, what):
-    """Raise all errors of what is made of a file, which can hold anything, as one that names it."""
+    """Raise any error of what is made of a file as one that names it."""
     try:
         yield
     except Exception as error:
@@ -102,16 +102,16 @@ def _content(path):
     size, limit = path.stat().st_size, conf.max_bytes
     if size == 0:
         raise ValueError(f"{path} is empty")
+    if size > limit:
+        raise _too_large(path, limit)
     with path.open("rb") as stream:
-        if not stream.peek(2).startswith(_GZIP):
-            if size > limit:
-                raise _too_large(path, limit)
+        if not stream.peek(2).startswith(b"\x1f\x8b"):
             return stream.read()
         limit = min(limit, max(_SMALL, conf.max_ratio * size))
         content = io.BytesIO()
         try:
             with gzip.GzipFile(fileobj=stream) as unpacked:
-                while content.tell() <= limit and (piece := unpacked.read(_CHUNK)):
+                while content.tell() <= limit and (piece := unpacked.read(1 << 20)):
                     content.write(piece)
         except Exception as error:  # of gzip
             raise ValueError(_unreadable(path, error)) from error
@@ -142,7 +142,7 @@ def _check(hdus, content, path):
         for keyword, begin in (("DATASUM", place["datLoc"]), ("CHECKSUM", start)):
             text = str(hdu.header.get(keyword, "")).strip()
             wanted = 0 if keyword == "CHECKSUM" else int(text) if text.isdigit() else -1
-            found = checksum_of(np.frombuffer(content, np.uint8, end - begin, begin))
+            found = checksum_of(memoryview(content)[begin:end])
             if text and found % _ONES != wanted % _ONES:
                 mismatches.append(f"{keyword} of HDU {number}")
                 break
@@ -159,7 +159,7 @@ def _check(hdus, content, path):
 
 
 def _check_axes(content, start):
-    """Refuse a header with more axes than FITS allows, before astropy lists them."""
+    """Refuse more axes than FITS allows, before astropy lists them."""
     stream = io.BytesIO(content)
     stream.seek(start)
     axes = fits.Header.fromfile(stream).get("NAXIS")
@@ -168,7 +168,6 @@ def _check_axes(content, start):
 
 
 def _check_columns(hdu):
-    """Refuse a table whose columns do not fit its rows."""
     n_columns = hdu.header["TFIELDS"]
     if isinstance(n_columns, bool) or not 0 <= n_columns <= MOST:
         raise ValueError(f"TFIELDS is {n_columns}")
@@ -182,9 +181,9 @@ def _check_columns(hdu):
 
 def checksum_of(data, start=0):
     """Return the ones' complement sum of bytes in 32-bit numbers."""
-    rest = len(data) % 4
-    total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))
-    total += int.from_bytes(data[len(data) - rest :].tobytes().ljust(4, b"\0"), "big")
+    if len(data) % 4:
+        data = bytes(data) + bytes(-len(data) % 4)
+    total = start + int(np.frombuffer(data, ">u4").sum(dtype=np.uint64))
     while total >> 32:
         total = (total & 0xFFFFFFFF) + (total >> 32)
     return total
@@ -204,7 +203,7 @@ def read_positions(path):
         if len(table.data) == 0:
             raise RefusedError(f"{path} has no rows in its first table")
         header = cards_of(hdus[0].header, table.header)
-    time, x, y = (columns[name].astype(float) for name in _POSITIONS)
+    time, x, y = (columns[name] for name in _POSITIONS)
     number = columns.get("CADENCENO")
     if number is not None and not number.any():  # TESScut's files have only zeros
         number = np.arange(1, len(number) + 1)
@@ -229,10 +228,9 @@ def read_table(path):
 
 
 def facts_of(header):
-    """Return the facts on mission, star and detector in the header of an archive file."""
+    """Return mission, star and detector in the header of an archive file."""
     mission = header.get("MISSION") or header.get("TELESCOP")
     facts = {"mission": mission} | {name: header.get(card) for name, card in _FACTS.items()}
-    # A blank card has a value of its own class, which is neither text nor a number.
     return {k: v for k, v in facts.items() if isinstance(v, str | int | float) and v != ""}
 
 
@@ -268,15 +266,89 @@ def column_of(table, name, path, ndim=1):
 
 
 def cards_of(*headers):
-    """Return the facts in headers, of which later ones go first; None stands for a blank card.
-
-    Headers in memory also hold numpy's numbers, as those of lightkurve's cutouts do.
-    """
+    """Return the facts in headers, the last of which prevail; None for blank cards."""
     facts = {}
     for header in headers:
+        # lightkurve's cutouts have numpy's numbers.
         for key, value in plain_tree(dict(header.items())).items():
             if key in NO_FACTS or key.startswith("NAXIS"):
                 continue
             known = isinstance(value, (str, bool, int, float, complex))
             facts[key] = value if known else facts.get(key)
     return facts
+
+
+@contextmanager
+def atomic_path(path, *, overwrite=False):
+    """Give a hidden path beside ``path``, and move the file into place at the end, in one step.
+
+    When the body raises, it is removed and ``path`` stays as it was. Without ``overwrite``, a file
+    that appears meanwhile is kept, too. Errors are an OSError that names the file.
+    """
+    target = check_output(path, overwrite=overwrite)
+    temporary = target.with_name(_PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:]))
+    try:
+        yield temporary
+        if not overwrite:
+            _take_name(path, temporary, target)
+        elif target.exists():
+            shutil.copymode(target, temporary)
+        temporary.replace(target)
+    except OSError as error:
+        if error.filename not in (None, temporary, str(temporary)):
+            raise
+        raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder):
+    """Remove what killed processes have left, where that is possible."""
+    for path in Path(folder).glob(f"{_PREFIX}*"):
+        with suppress(OSError):
+            path.unlink()
+
+
+def check_output(path, *, overwrite=False, inputs=()):
+    """Return the real place of a file to write; `atomic_path` raises the same errors."""
+    target = Path(os.path.realpath(path))
+    for source in inputs:
+        if identity(source) == identity(target):
+            raise ValueError(f"cannot write {path}: it is the input {source}")
+    if target.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+    if target.exists() and not target.is_file():
+        raise OSError(f"cannot write {path}: it is not a regular file")
+    if target.exists() and not overwrite:
+        raise _exists(path)
+    if not os.access(target.parent, os.W_OK):
+        raise PermissionError(f"cannot write {path}: Permission denied in folder {target.parent}")
+    return target
+
+
+def identity(path):
+    """Return a key common to all links to a file."""
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return os.path.realpath(path)
+    return state.st_dev, state.st_ino
+
+
+def _take_name(path, temporary, target):
+    """Give a name, which must be free, to the temporary file, or to an empty one."""
+    try:
+        try:
+            os.link(temporary, target)
+        except FileExistsError:
+            raise
+        except OSError:  # the file system has no hard links
+            target.touch(exist_ok=False)
+    except FileExistsError:
+        raise _exists(path) from None
+
+
+def _exists(path):
+    return FileExistsError(f"{path} exists already; pass overwrite=True to replace it")

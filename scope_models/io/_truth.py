@@ -14,7 +14,7 @@ from astropy.table import Table
 
 from scope_models._arrays import native
 from scope_models._values import Value, frozen
-from scope_models.io._blocks import Block, column_cards
+from scope_models.io._headers import Block, column_cards
 from scope_models.io._opening import MOST
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
@@ -35,18 +35,18 @@ class Truth(Value):
     columns : mapping of str to array_like of shape (n_cadences, ...)
         CADENCENO and the true values at each cadence: TIME; QUALITY; the motion, MOTION_X and
         MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels) and
-        its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
-        aperture; and what the effects add.
+        relative flux SIGNAL1; TARGET_SHARE, the target's share in the light of the aperture; and
+        what the effects add.
     maps : dict of str to ndarray of shape (ny, nx)
-        Images: INTERPIXEL, the response of each pixel against the others, and what the effects add.
+        Images: INTERPIXEL, the response of each pixel, and what the effects add.
     scene : dict
-        The scene in values that JSON can hold, of which `~scope_models.read_scene` makes a
-        `~scope_models.Scene`; and, as ``scene["found"]``, flux and lost_fraction of each star.
+        Values in JSON, of which `~scope_models.read_scene` makes a `~scope_models.Scene`; and, as
+        ``scene["found"]``, flux and lost_fraction of each star.
     tables : dict of str to astropy.table.Table
-        Lists of any length, such as the events of an effect.
+        Lists, such as the events of an effect.
     model : ndarray of shape (n_cadences, ny, nx) or None
-        Expected flux without noise and background, e-/s, if ``simulate(..., keep_model=True)``
-        kept it. No file holds it: `~scope_models.Observation.model` computes it at any time.
+        Expected flux without noise and background, e-/s, of ``simulate(..., keep_model=True)``. No
+        file holds it: `~scope_models.Observation.model` computes it.
 
     Examples
     --------
@@ -71,10 +71,9 @@ class Truth(Value):
         object.__setattr__(self, "columns", MappingProxyType(columns))
 
     def __repr__(self):
-        n = len(self._names("X"))
-        options = self.scene.get("options", {})
+        n, options = len(self._names("X")), self.scene.get("options", {})
         noise = ", ".join(sorted(options.get("noise") or ())) or "none"
-        stars = f"{n} star{'' if n == 1 else 's'}"
+        stars = "1 star" if n == 1 else f"{n} stars"
         return f"<Truth of {stars}, seed {options.get('seed')}, noise: {noise}>"
 
     @property
@@ -99,7 +98,7 @@ class Truth(Value):
 
     @property
     def target_share(self):
-        """Target's share in the starlight of the aperture, NaN without light; (n_cadences,)."""
+        """Target's share in the light of the aperture, NaN without light; (n_cadences,)."""
         return self.columns["TARGET_SHARE"]
 
     @property
@@ -114,12 +113,12 @@ class Truth(Value):
 
     @property
     def interpixel(self):
-        """Response of each pixel against the others, shape (ny, nx)."""
+        """Response of each pixel, shape (ny, nx)."""
         return frozen(self.maps["INTERPIXEL"])
 
     @property
     def seed(self):
-        """The seed, given or taken from the operating system."""
+        """The seed, given or the operating system's."""
         return self.scene["options"]["seed"]
 
     @property
@@ -133,7 +132,7 @@ class Truth(Value):
         return self.scene["options"]["n_sub"]
 
     def at_cadences(self, cadenceno):
-        """Return the rows of some cadences, such as those that a quality mask leaves.
+        """Return the rows of some cadences.
 
         Parameters
         ----------
@@ -159,18 +158,15 @@ class Truth(Value):
         """
         wanted = np.asarray(cadenceno)
         known = self.columns["CADENCENO"]
-        index = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-        if np.any(known[index] != wanted):
-            missing = wanted[known[index] != wanted][0]
-            raise ValueError(f"`cadenceno` must be cadences of the truth, got {missing}")
-        return self.table[index]
+        missing = wanted[~np.isin(wanted, known)]
+        if missing.size:
+            raise ValueError(f"`cadenceno` must be cadences of the truth, got {missing[0]}")
+        return self.table[np.searchsorted(known, wanted)]
 
     def _names(self, prefix):
-        """Return the names of a column for star 1, 2, ..."""
         return list(takewhile(self.columns.__contains__, (f"{prefix}{n}" for n in count(1))))
 
     def _stack(self, prefix):
-        """Return a column of all stars, shape (n_stars, n_cadences)."""
         names = self._names(prefix)
         if not names:
             raise ValueError(f"the truth has no column {prefix}1")
@@ -183,7 +179,7 @@ class Truth(Value):
 
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):
-    """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
+    """Return the extensions that hold a truth, as of `make_tpf_hdulist`."""
     maps, hdus = maps or {}, []
     taken = _TAKEN | {name.upper() for name in maps}
     for name, table in (tables or {}).items():
@@ -196,7 +192,7 @@ def truth_blocks(cadenceno, columns, maps, scene, tables):
 
 
 def scene_blocks(maps, scene, further=()):
-    """Return the extensions that hold images, further extensions, and what JSON can hold."""
+    """Return the extensions of images, further ones, and that of values in JSON."""
     blocks = {}
     for name, values in maps.items():
         _check_name("truth_maps", name, _TAKEN | blocks.keys())
@@ -205,7 +201,7 @@ def scene_blocks(maps, scene, further=()):
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
         cards = [("MAPNAME", name, "name of the map of truth")]
         cards.append(("EXTNAME", name.upper(), "extension name"))
-        blocks[name.upper()] = Block.of(cards, array)
+        blocks[name.upper()] = Block(cards, array)
     return [*blocks.values(), *further, *([] if scene is None else [_scene_block(scene)])]
 
 
@@ -222,18 +218,18 @@ def _truth_block(cadenceno, columns):
         arrays[name] = array
     arrays, numbered = _vectors(arrays)
     fields = [(name, f">{a.dtype.str[1:]}", a.shape[1:]) for name, a in arrays.items()]
-    rows = np.empty(len(cadenceno), dtype=[("CADENCENO", ">i4"), *fields[1:]])
+    rows = np.empty(len(cadenceno), dtype=fields)
     for name, array in arrays.items():
         rows[name] = array
     cards = column_cards(rows, {"CADENCENO": "number of the cadence"})
     cards.append(("EXTNAME", "TRUTH", "extension name"))
     if numbered:
         cards.append((_NUMBERED, " ".join(numbered), "columns of vectors: a value for each star"))
-    return Block.of(cards, rows)
+    return Block(cards, rows)
 
 
 def _vectors(arrays):
-    """Return arrays for at most 999 columns, X1, X2, ... as vectors X, and the names of these."""
+    """Return at most 999 arrays, X1, X2, ... as vectors X, and the names of these."""
     if len(arrays) <= MOST:
         return arrays, []
     left, joined = dict(arrays), {}
@@ -253,7 +249,7 @@ def _check_name(argument, name, taken):
 
 
 def _scene_block(scene):
-    """Return the SCENE table: a row for each key, and further rows where its value is long."""
+    """Return the SCENE table: a row for each key, more for a long value."""
     if not isinstance(scene, dict) or not all(
         isinstance(key, str) and key.isascii() and key == key.strip() != "" for key in scene
     ):
@@ -262,15 +258,14 @@ def _scene_block(scene):
         rows = [(key, part) for key, value in scene.items() for part in _parts(json.dumps(value))]
     except (TypeError, ValueError) as error:
         raise TypeError(f"`scene` must hold what JSON can: {error}") from error
-    widths = [max(map(len, texts), default=1) for texts in zip(*rows, strict=True)] or [1, 1]
-    kinds = [(name, f"S{width}") for name, width in zip(("KEY", "VALUE"), widths, strict=True)]
-    table = np.array(rows, dtype=kinds)
+    columns = [np.array(texts, dtype="S") for texts in zip(*rows, strict=True)]
+    table = np.rec.fromarrays(columns or np.empty((2, 0), "S1"), names="KEY,VALUE")
     cards = column_cards(table, {"VALUE": "value in JSON"})
-    return Block.of([*cards, ("EXTNAME", "SCENE", "extension name")], table)
+    return Block([*cards, ("EXTNAME", "SCENE", "extension name")], table)
 
 
 def _parts(text):
-    """Return JSON in parts that CFITSIO reads, with no blank at an end, which FITS drops."""
+    """Return parts of JSON that CFITSIO reads, without blanks at an end, which FITS drops."""
     if len(text) <= _LONGEST_TEXT:
         return [text]
     text = json.dumps(json.loads(text), separators=(",", ":")).replace(" ", "\\u0020")
@@ -278,7 +273,7 @@ def _parts(text):
 
 
 def truth_of(hdus):
-    """Return the truth in an HDU list; None if it has no TRUTH table."""
+    """Return the truth in a file; None if it has no TRUTH table."""
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     columns = _columns_of(hdus["TRUTH"])

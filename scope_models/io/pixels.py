@@ -1,11 +1,11 @@
-"""The door in: the one way from a target pixel file, in memory or on disk, to arrays."""
+"""The one way from a target pixel file, in memory or on disk, to arrays."""
 
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Integral
 from os import PathLike
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 from astropy import units as u
@@ -25,16 +25,16 @@ from scope_models.missions import TIME_ZEROS, Mission
 __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
-#: Offsets of this size and more mark missing positions: archive files have -83 to -1023 px.
+#: Larger offsets mark missing positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PixelSeries(Value):
-    """The pixels of a star, cadence by cadence, as a target pixel file holds them.
+    """The pixels of a star, as a target pixel file holds them.
 
     `read_pixels` makes it. The arrays are read-only. ``series[a:b]`` and ``series[mask]`` choose
-    cadences; two series are equal if all their values are.
+    cadences.
 
     Parameters
     ----------
@@ -45,17 +45,16 @@ class PixelSeries(Value):
     quality : ndarray of int, shape (n,)
         Quality flags.
     flux, flux_err : ndarray of shape (n, ny, nx)
-        Flux less background and its standard deviation, e-/s; NaN where there is none, or infinite
-        values are.
+        Flux less background and its standard deviation, e-/s; NaN where there is none or infinity.
     flux_bkg : ndarray of shape (n, ny, nx) or None
         Background that was subtracted, e-/s; None if the file has none.
     pos_corr : ndarray of shape (n, 2) or None
-        Column and row offset, pixels: POS_CORR1 and POS_CORR2 as they are in the file, absurd
-        values too (see `usable_positions`); None if the file has none.
+        POS_CORR1 and POS_CORR2, column and row offset, pixels, absurd values too (see
+        `usable_positions`); None if the file has none.
     aperture : ndarray of bool, shape (ny, nx)
         The optimal aperture of the file; all pixels if the file has none.
     header : mapping
-        Cards of the primary header, overridden by those of the table; None for blank cards.
+        Cards of the primary header, overridden by the table's; None for blank cards.
     mission : Mission or None
         The mission; None if the headers name none.
 
@@ -93,8 +92,7 @@ class PixelSeries(Value):
     def __repr__(self):
         n, ny, nx = self.flux.shape
         name = self.mission.name if self.mission else "of no known mission"
-        known = self.time[np.isfinite(self.time)]
-        span = "no times"
+        known, span = self.time[np.isfinite(self.time)], "no times"
         if known.size:
             span = f"{self.time_format.upper()} {known[0]:.4f} to {known[-1]:.4f}"
         return f"<PixelSeries {name}: {n} cadences of {ny} x {nx} pixels, {span}>"
@@ -111,11 +109,11 @@ class PixelSeries(Value):
 
     @property
     def time_format(self):
-        """Name of the zero of the times, "bkjd" or "btjd"; "bkjd" if the headers name none."""
+        """Zero of the times, "bkjd" or "btjd"; "bkjd" if the headers name none."""
         return _opening.time_format_of(self.header) or "bkjd"
 
     def without_flagged(self, quality_bitmask="default"):
-        """Leave out cadences by their quality flags, as lightkurve does when it reads a file.
+        """Leave out cadences by their quality flags, as lightkurve does.
 
         Parameters
         ----------
@@ -153,8 +151,8 @@ def read_pixels(source, *, quality_bitmask=None):
     Parameters
     ----------
     source : lightkurve.TargetPixelFile, str, path-like, astropy.io.fits.HDUList or PixelSeries
-        A target pixel file of Kepler, K2, TESS, TESScut or a simulation: the object, with the
-        cadences that it has, or a file, .fits or .fits.gz.
+        A target pixel file of Kepler, K2, TESS, TESScut or a simulation: the object, with its
+        cadences, or a file, .fits or .fits.gz.
     quality_bitmask : {"none", "default"} or int, optional
         Quality flags whose cadences are left out: see `PixelSeries.without_flagged`. By default
         "default" for the path of a file, as ``lightkurve.read`` does, and "none" for objects.
@@ -171,8 +169,8 @@ def read_pixels(source, *, quality_bitmask=None):
     OSError
         If the file cannot be opened.
     ValueError
-        If the file is damaged or too large, lacks a column, has no usable time or no cadence, or
-        its times do not increase. The message names the file.
+        If the file, which the message names, is damaged or too large, lacks a column, has no usable
+        time or no cadence, or its times do not increase.
 
     Warns
     -----
@@ -211,7 +209,7 @@ def read_pixels(source, *, quality_bitmask=None):
 def read_tpf(source, *, quality_bitmask="default"):
     """Read a target pixel file as lightkurve's object, after the checks of `read_pixels`.
 
-    The object is wholly in memory: no file stays open.
+    No file stays open.
 
     Parameters
     ----------
@@ -268,9 +266,7 @@ def read_tpf(source, *, quality_bitmask="default"):
 
 
 def usable_positions(pos_corr):
-    """Return where positions are offsets of a star.
-
-    Archive files hold NaN, and values of 50 to 1000 px, where none was measured.
+    """Return where positions are offsets of a star: archive files hold others where there is none.
 
     Parameters
     ----------
@@ -304,7 +300,7 @@ def _of_hdus(hdus, name):
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     if flux is None:
         raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
-    n, *stamp = flux.shape
+    n, stamp = len(flux), flux.shape[1:]
     if flux.size == 0:
         raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
     pos_corr = [column(f"POS_CORR{axis}") for axis in (1, 2)]
@@ -320,8 +316,7 @@ def _of_hdus(hdus, name):
         "pos_corr": None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
         "aperture": (np.asarray(bits) & OPTIMAL) > 0 if has_aperture else np.ones(stamp, bool),
     }  # fmt: skip
-    shapes = {"flux_err": flux.shape, "flux_bkg": flux.shape, "aperture": tuple(stamp)}
-    for key, shape in shapes.items():
+    for key, shape in {"flux_err": flux.shape, "flux_bkg": flux.shape, "aperture": stamp}.items():
         if (array := values[key]) is not None and array.shape != shape:
             raise RefusedError(f"{name}: {key} must have the shape {shape}, got {array.shape}")
     for key in ("cadenceno", "quality"):
@@ -350,7 +345,7 @@ def _check_times(series, name):
 
 
 def _has_file(tpf):
-    """Return whether the object is lightkurve's target pixel file of a mission."""
+    """Return whether an object is a target pixel file of lightkurve."""
     return hasattr(type(tpf), "pipeline_mask") and hasattr(tpf, "quality_mask")
 
 
@@ -372,39 +367,37 @@ def _check_place(header, name):
 
 def positions_of(source):
     """Return the positions of lightkurve's object, as `read_positions` does."""
-    series = read_pixels(source) if _has_file(source) else None
-    if series is None:
-        time, x, y = (getattr(source, name, None) for name in ("time", "pos_corr1", "pos_corr2"))
-    else:
-        time, (x, y) = series.time, (None,) * 2 if series.pos_corr is None else series.pos_corr.T
+    found = source
+    if _has_file(source):
+        series = read_pixels(source)
+        x, y = (None, None) if series.pos_corr is None else series.pos_corr.T
+        found = SimpleNamespace(**vars(series), meta=series.header, pos_corr1=x, pos_corr2=y)
+    names = ("time", "pos_corr1", "pos_corr2", "quality", "cadenceno")
+    time, x, y, *flags = (getattr(found, name, None) for name in names)
     if any(column is None for column in (time, x, y)):
         kind = type(source).__name__
         message = f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them"
         raise TypeError(f"{message}; `Motion.from_file` reads files")
-    columns = {axis: plain_array(v, "pix", "pos_corr") for axis, v in (("x", x), ("y", y))}
-    if series is not None:
-        names = ("time", "quality", "cadenceno", "time_format")
-        columns |= {name: getattr(series, name) for name in names}
-        return columns | {"meta": _opening.facts_of(series.header)}
-    header = _opening.cards_of(getattr(source, "meta", None) or {})
+    x, y = (plain_array(column, "pix", "pos_corr") for column in (x, y))
+    quality, number = (None if v is None else np.asarray(without_unit(v)) for v in flags)
+    header = _opening.cards_of(getattr(found, "meta", None) or {})
     form = getattr(time, "format", None)
     if "BJDREFI" not in header and form in TIME_ZEROS:
         header["BJDREFI"] = int(TIME_ZEROS[form])
     time_format = _opening.time_format_of(header) or "bkjd"
-    columns |= {"time_format": time_format, "meta": _opening.facts_of(header)}
-    for name in ("quality", "cadenceno"):
-        value = getattr(source, name, None)
-        columns[name] = None if value is None else np.asarray(without_unit(value))
-    if not isinstance(time, Time) or time.format not in TIME_ZEROS or np.any(time.mask):
+    if not isinstance(time, Time) or form not in TIME_ZEROS or np.any(time.mask):
         time = plain_time(time, time_format, "time of tpf")
-    return columns | {"time": np.array(without_unit(time), dtype=float).reshape(-1)}
+    return {
+        "time": np.array(without_unit(time), dtype=float).reshape(-1), "x": x, "y": y,
+        "quality": quality, "cadenceno": number, "time_format": time_format,
+        "meta": _opening.facts_of(header),
+    }  # fmt: skip
 
 
 def star_places(name, places, series):
     """Return columns and rows ``(k, 2)`` of stars in the stamp of a `PixelSeries`.
 
-    ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
-    ``name`` is the argument in messages.
+    ``places`` are these, a SkyCoord, or a table with the columns x and y, or ra and dec.
     """
     columns = {str(key).lower(): key for key in getattr(places, "columns", ())}
     if {"x", "y"} <= set(columns):
@@ -427,15 +420,12 @@ def star_places(name, places, series):
 
 
 def read_neighbors(path, series):
-    """Return the stars of a catalog file that are in the pixels of a `PixelSeries`, a table.
-
-    Of stars on the sky, the target, nearest to its coordinates within a pixel, is left out.
-    """
+    """Return the stars of a catalog that are in the pixels, without the target, as a table."""
     table = _opening.read_table(path)
     places = star_places("neighbors", table, series)
     kept = ((places > -0.5) & (places < np.array(series.flux.shape[:0:-1]) - 0.5)).all(axis=1)
     target = target_among(table, series)
-    if target is not None and len(table):
+    if target is not None and len(table):  # the star next to its coordinates, within a pixel
         distance = np.hypot(*(places - target).T)
         kept[np.argmin(distance)] &= distance.min() > 1
     return table[kept]
@@ -449,10 +439,9 @@ def target_among(places, series):
 
 
 def target_place(series):
-    """Return the target's column and row in the stamp by its coordinates; None without these."""
+    """Return the target's column and row by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     try:
-        # Of a WCS that is of no use.
         with warnings.catch_warnings(action="ignore", category=FITSFixedWarning):
             return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
     except (TypeError, ValueError):  # they, or the WCS, are missing or no numbers
@@ -460,16 +449,17 @@ def target_place(series):
 
 
 def place_of(cards, shape):
-    """Return column and row of the middle of a stamp on the CCD; None where it has no place."""
-    corner = cards.get("1CRV5P"), cards.get("2CRV5P")
-    if not all(isinstance(value, int | float) for value in corner):
+    """Return column and row of the middle of a stamp on the CCD; None if unknown."""
+    column, row = cards.get("1CRV5P"), cards.get("2CRV5P")
+    if not (isinstance(column, int | float) and isinstance(row, int | float)):
         return None
-    return tuple(first + (n - 1) / 2 for first, n in zip(corner, shape[::-1], strict=True))
+    ny, nx = shape
+    return column + (nx - 1) / 2, row + (ny - 1) / 2
 
 
 def _wcs(series):
-    # FLUX is the fifth column.
-    cards = {name: series.header.get(key) for name, key in wcs_keywords(5).items()}
-    if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
+    keywords = wcs_keywords(5)  # of FLUX
+    cards = {name: v for name, key in keywords.items() if (v := series.header.get(key)) is not None}
+    if "CRVAL1" not in cards or "CRPIX1" not in cards:
         raise ValueError("the file has no WCS: give positions in pixels")
-    return WCS({key: value for key, value in cards.items() if value is not None})
+    return WCS(cards)

@@ -12,14 +12,20 @@ import astropy.units as u
 import numpy as np
 from astropy.io import fits
 
-from scope_models._arrays import DIGITAL, PER_PIXEL
-from scope_models._checks import check_fields, checked_matrix, integer, number
+from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array, plain_time
+from scope_models._checks import check_fields, checked_int32, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.io import _headers
-from scope_models.io._atomic import atomic_path
-from scope_models.io._blocks import CHECKSUM_COMMENT, Block, card_texts, write_blocks
-from scope_models.io._opening import open_fits
+from scope_models.io._headers import (
+    CHECKSUM_COMMENT,
+    COLLECTED,
+    OPTIMAL,
+    Block,
+    make_headers,
+    pixel_block,
+    write_blocks,
+)
+from scope_models.io._opening import atomic_path, open_fits
 from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.missions import MISSIONS
 
@@ -31,16 +37,16 @@ _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine
 # Fields that a mission and a detector, or only a detector, have by the same name.
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
 _OF_DETECTOR = ("mission", "n_frames", "gain", "read_noise", "mean_black", "fixed_offset")
-_SIMULATED = ("SIMDATA", True, "the data are simulated")
-_NOT_SIMULATED = ("SIMDATA", False, "the data are not simulated")
+_CUBES = "flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"
+_UNITS = dict.fromkeys(_CUBES, "electron / s")
+_UNITS |= {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TPFMetadata(Value):
     """Facts for the headers of a target pixel file.
 
-    `of` takes those of a detector. What is None and has no default below becomes a card without a
-    value, as in archive files.
+    `of` takes those of a detector. What is None and has no default becomes a card without a value.
 
     Parameters
     ----------
@@ -55,21 +61,20 @@ class TPFMetadata(Value):
     n_frames : int, optional
         Frames per cadence; by default those of the mission's usual cadence.
     object_name : str, optional
-        OBJECT; by default "SIM" and the number, for the star is not the one of a catalog.
+        OBJECT; by default "SIM" and the number.
     ra, dec : float or Quantity, optional
         Position, deg; by default the middle of a field (for TESS the north ecliptic pole).
     x_0, y_0 : float or Quantity, optional
         The pixel of the stamp, from 0, that looks at ``ra`` and ``dec``; by default the middle.
     orientation : float or Quantity, optional
-        Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
-        to the north and columns to the west.
+        Position angle of growing rows, deg from north to east. At 0, columns grow to the west.
     matrix : tuple of float, optional
         PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
         along columns and rows is to the west and to the north.
     magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
-        When it was observed; only that of the mission may be given.
+        When it was observed; only the mission's may be given.
     channel, module, output : int, optional
         Where on the Kepler photometer; a channel implies its module and output, and conversely.
     camera, ccd : int, optional
@@ -91,9 +96,8 @@ class TPFMetadata(Value):
     date : datetime.date, optional
         Day on which the file is made; by default today, UTC.
     extra_cards : mapping, optional
-        Further cards: keyword to value, or to value and comment. Keywords that the layout has
-        without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
-        added to the primary header.
+        Further cards: keyword to value, or to value and comment. Those that the layout has without
+        a value (TEFF, CROWDSAP, ...) are filled, others are added to the primary header.
 
     Raises
     ------
@@ -167,11 +171,10 @@ class TPFMetadata(Value):
         self._check_place()
 
     def _check_place(self):
-        layout = self.layout
-        places = "channel", "module", "output", "camera", "ccd"
-        for name in ("quarter", "campaign", "sector", *places):
+        runs, places = ("quarter", "campaign", "sector"), ("channel", "module", "output")
+        for name in (*runs, *places, "camera", "ccd"):
             given = getattr(self, name)
-            if given is not None and name not in {layout.run, *layout.places}:
+            if given is not None and name not in {self.layout.run, *self.layout.places}:
                 raise ValueError(f"`{name}` must not be given for {self.mission}, got {given}")
         if self.module is not None and self.module not in _MODULES:
             raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
@@ -190,7 +193,7 @@ class TPFMetadata(Value):
         detector : Detector
             The detector, of a mission with target pixel files.
         **facts
-            Fields of `TPFMetadata`: those of the target, and any that differ from the detector's.
+            Fields of `TPFMetadata`: the target's, and any that differ from the detector's.
 
         Returns
         -------
@@ -216,7 +219,7 @@ class TPFMetadata(Value):
 
     @property
     def layout(self):
-        """The mission, which fixes the special features of its files."""
+        """The mission, which fixes the features of its files."""
         return MISSIONS[self.mission]
 
     @property
@@ -252,7 +255,7 @@ class TPFMetadata(Value):
 
     @property
     def reads(self):
-        """Number of frames that are summed up."""
+        """Number of frames in the sum."""
         return self.n_frames if self.n_readouts is None else self.n_readouts
 
     @property
@@ -264,7 +267,7 @@ class TPFMetadata(Value):
 
     @property
     def is_long_cadence(self):
-        """Whether this is what the Kepler photometer calls a long cadence."""
+        """Whether Kepler calls this a long cadence."""
         return self.cadence_days > _LONG_CADENCE
 
     @property
@@ -284,13 +287,13 @@ def make_tpf_hdulist(
     Parameters
     ----------
     metadata : TPFMetadata or {"Kepler", "K2", "TESS", "Ground"}
-        Facts for the headers; its mission chooses the layout. The name of a mission stands for
-        target number 1 and the mission's usual cadence.
+        Facts for the headers. The name of a mission stands for target number 1 and its usual
+        cadence.
     time : array_like, Quantity or Time, shape (n,)
         Barycentric times of mid-cadence, days (BKJD or BTJD); NaN where there is none.
     flux, flux_err : array_like or Quantity, shape (n, ny, nx)
-        Flux less background and its standard deviation, e-/s; NaN where there is none. The
-        standard deviation may be anything that broadcasts to the shape.
+        Flux less background and its standard deviation, which broadcasts to it, e-/s; NaN where
+        there is none.
     cadenceno : array_like of int, shape (n,), optional
         Numbers of the cadences, growing, from 1 at least; by default 1 to n.
     raw_cnts : array_like of int, shape (n, ny, nx), optional
@@ -304,7 +307,7 @@ def make_tpf_hdulist(
     timecorr : array_like, shape (n,), optional
         Barycentric minus spacecraft time, days; NaN by default.
     cosmic_rays : array_like, shape (n, ny, nx), optional
-        Cosmic rays that were taken out, e-/s; NaN where there were none.
+        Cosmic rays that were taken out, e-/s; NaN for none.
     aperture : array_like of bool or int, shape (ny, nx), optional
         The optimal aperture; or bits, 1 for collected and 2 for optimal. By default all are 1.
     truth_columns, truth_maps, scene, truth_tables : dict, optional
@@ -315,8 +318,8 @@ def make_tpf_hdulist(
     Returns
     -------
     astropy.io.fits.HDUList
-        The file, which lightkurve's ``KeplerTargetPixelFile`` and ``TessTargetPixelFile`` take
-        as it is. It shares no memory with the arguments.
+        The file, which lightkurve's ``KeplerTargetPixelFile`` and ``TessTargetPixelFile`` take. It
+        shares no memory with the arguments.
 
     Raises
     ------
@@ -378,7 +381,7 @@ def write_hdulist(hdulist, path, *, overwrite=False):
     Parameters
     ----------
     hdulist : astropy.io.fits.HDUList
-        What to write. Its headers get the checksums, too.
+        The file. Its headers get the checksums, too.
     {write}
 
     Examples
@@ -436,39 +439,27 @@ def read_truth(source):
 def _tpf_blocks(
     *, metadata, aperture, truth_columns, truth_maps, scene, truth_tables, simulated, **columns
 ):
-    """Return the blocks of a target pixel file; the arguments are those of `make_tpf_hdulist`."""
+    """Return the blocks of the file of `make_tpf_hdulist`."""
     if isinstance(metadata, str):
         metadata = TPFMetadata(mission=metadata, target_id=1)
     if not isinstance(metadata, TPFMetadata):
         wanted = "a TPFMetadata or the name of a mission"
         raise TypeError(f"`metadata` must be {wanted}, got {metadata!r}")
-    n_cadences = len(np.atleast_1d(columns["time"]))
-    if columns["cadenceno"] is None:
-        columns["cadenceno"] = np.arange(1, n_cadences + 1)
-    if columns["quality"] is None:
-        columns["quality"] = np.zeros(n_cadences, dtype=np.int32)
-    values = _headers.checked_columns(metadata.layout, columns)
-    layout, shape = _headers.pixel_columns(metadata.layout), values["FLUX"].shape[1:]
-    aperture = _aperture_bits(aperture, shape)
-    used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
-    times = values["TIME"], values.get("TIMECORR", np.full(n_cadences, np.nan)), int(used.sum())
-    headers = _headers.make_headers(metadata, *times, aperture)
-    if not simulated:
-        old, new = card_texts([_SIMULATED, _NOT_SIMULATED])
-        headers = [[new if card == old else card for card in cards] for cards in headers]
-    primary, table, image = headers
-    cards = [*_headers.pixel_column_cards(layout, metadata, shape), *table]
-    blocks = [Block.of(cards, _headers.table_rows(layout, values)), Block.of(image, aperture)]
+    values = _checked_columns(metadata.layout, columns)
+    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
+    simdata = "SIMDATA", simulated, f"the data are {'' if simulated else 'not '}simulated"
+    primary, table, image = make_headers(metadata, values, aperture, simdata)
+    blocks = [pixel_block(metadata, values, table, image), Block(image, aperture)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
-        blocks.append(_cosmic_ray_hdu(metadata, values, simulated))
+        blocks.append(_cosmic_ray_hdu(metadata, values, simdata))
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
-    return [Block.of([("NEXTEND", len(blocks), "number of extensions"), *primary]), *blocks]
+    return [Block([("NEXTEND", len(blocks), "number of extensions"), *primary]), *blocks]
 
 
-def _cosmic_ray_hdu(metadata, values, simulated):
-    """Return the list of cosmic rays of files that have no column of them."""
+def _cosmic_ray_hdu(metadata, values, simdata):
+    """Return the list of cosmic rays of files without a column of them."""
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
     cadence, row, column = np.nonzero(np.isfinite(rays))
     columns = [
@@ -480,8 +471,73 @@ def _cosmic_ray_hdu(metadata, values, simulated):
     hdu = fits.BinTableHDU.from_columns(columns, name="TARGET COSMIC RAY")
     hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
     hdu.header["EXTVER"] = (1, "version of extension")
-    hdu.header.append(_SIMULATED if simulated else _NOT_SIMULATED)
+    hdu.header.append(simdata)
     return hdu
+
+
+def _checked_columns(mission, values):
+    """Return the arrays by their names in the file, checked against each other."""
+    cube = np.shape(values["flux"])
+    if len(cube) != 3 or 0 in cube:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {cube}")
+    checked = _checked_times(mission, values, cube[:1])
+    for name, unit in _UNITS.items():
+        value, shape = values[name], cube if name in _CUBES else cube[:1]
+        # Only times, quantities and masked values have these; plain arrays are not copied.
+        if any(hasattr(value, attribute) for attribute in ("unit", "mask", "jd1")):
+            value = plain_array(value, unit, name)
+        if value is not None:
+            checked[name.upper()] = _floats(name, value, shape, broadcast=name in _CUBES)
+    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
+    if np.any(error <= 0):
+        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
+    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
+        raise ValueError("`flux_err` must not be NaN where `flux` is not")
+    if np.any(background_error < 0):
+        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
+    if values["raw_cnts"] is not None:
+        checked["RAW_CNTS"] = checked_int32("raw_cnts", values["raw_cnts"], cube)
+        if checked["RAW_CNTS"].min() < -1:
+            raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
+    return checked
+
+
+def _checked_times(mission, values, shape):
+    """Return times, numbers and quality flags of cadences."""
+    time = _floats("time", plain_time(values["time"], mission.time_format, "time"), shape)
+    known = time[np.isfinite(time)]
+    if known.size == 0:
+        raise ValueError("`time` must have a finite value")
+    if np.any(np.diff(known) <= 0):
+        raise ValueError("`time` must increase from cadence to cadence")
+    number = np.arange(1, shape[0] + 1) if values["cadenceno"] is None else values["cadenceno"]
+    number = checked_int32("cadenceno", number, shape)
+    if number[0] < 1 or np.any(np.diff(number) <= 0):
+        raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
+    quality = np.zeros(shape, np.int32) if values["quality"] is None else values["quality"]
+    quality = checked_int32("quality", quality, shape)
+    if quality.min() < 0:
+        raise ValueError(f"`quality` must not be negative, got {quality.min()}")
+    no_data = np.where(np.isnan(time), mission.quality.no_data, 0).astype(np.int32)
+    return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
+
+
+def _floats(name, values, shape, *, broadcast=False):
+    array = np.asarray(values)
+    if array.dtype.kind not in "iufb":
+        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
+    if broadcast:
+        try:
+            array = np.broadcast_to(array, shape)
+        except ValueError:
+            raise ValueError(f"`{name}` must fit the shape {shape}, got {array.shape}") from None
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    if array.dtype.kind != "f":
+        return array.astype(float)
+    if np.any(np.abs(array) > np.finfo(np.float32).max):
+        raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
+    return array
 
 
 def _aperture_bits(aperture, shape):
@@ -489,7 +545,7 @@ def _aperture_bits(aperture, shape):
     if aperture.shape != shape:
         raise ValueError(f"`aperture` must have the shape {shape}, got {aperture.shape}")
     if aperture.dtype.kind == "b":
-        return _headers.COLLECTED | np.where(aperture, _headers.OPTIMAL, 0).astype(np.int32)
+        return COLLECTED | np.where(aperture, OPTIMAL, 0).astype(np.int32)
     if aperture.dtype.kind not in "iu":
         raise TypeError(f"`aperture` must be of booleans or integers, got {aperture.dtype}")
     if aperture.min() < 0:
@@ -498,12 +554,11 @@ def _aperture_bits(aperture, shape):
 
 
 def _write(path, write, *, overwrite):
-    """Open a stream to a file that is there as a whole or not at all, and write to it."""
     if not Path(path).name.lower().endswith((".fits", ".fits.gz")):
         raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
     with atomic_path(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
         if temporary.suffix.lower() == ".gz":
-            # No name and no time in it: the same contents give the same file.
+            # Without name and time, so that the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 write(compressed)
         else:

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.plotting import _style
 from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 from scope_models.plotting.images import draw_outline

@@ -285,12 +285,10 @@ class Scene(Value):
     @property
     def wcs(self):
         """World coordinates of the stamp, the `~astropy.wcs.WCS` that its files have."""
-        from astropy.io import fits
         from astropy.wcs import WCS
 
         metadata = TPFMetadata.of(self.detector, **scene_facts(self))
-        cards = tan_projection(metadata, self.detector.shape).items()
-        return WCS(fits.Header([(keyword, *card) for keyword, card in cards]))
+        return WCS(tan_projection(metadata, self.detector.shape))
 
     @classmethod
     def from_catalog(

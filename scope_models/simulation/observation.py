@@ -14,7 +14,7 @@ from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS, TIME_ZEROS
-from scope_models.photometry.precision import noise_of
+from scope_models.photometry import noise_of
 from scope_models.scene.scene import Scene, scene_facts
 from scope_models.simulation import _light
 

@@ -14,7 +14,7 @@ from scope_models._threads import one_thread
 from scope_models.effects import _noise
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import Truth
-from scope_models.photometry.apertures import grown_aperture
+from scope_models.photometry import grown_aperture
 from scope_models.scene._files import describe_scene, scene_columns
 from scope_models.scene.scene import Scene
 from scope_models.simulation import _light

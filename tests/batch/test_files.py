@@ -27,7 +27,7 @@ from scope_models.batch import (
 )
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 from scope_models.io.tpf import write_hdulist
 
 QUIET = {"progress": False}

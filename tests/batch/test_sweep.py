@@ -27,7 +27,7 @@ from scope_models.batch import _store as store_module
 from scope_models.batch import sweep as sweep_module
 from scope_models.batch._store import FILE, Store
 from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 
 SELECT = "SELECT key, record FROM stars"
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io._atomic import atomic_path, check_output
+from scope_models.io._opening import atomic_path, check_output
 from scope_models.io.tpf import write_hdulist
 
 
@@ -115,7 +115,7 @@ def test_fits_writer_that_fails_half_way(tmp_path, monkeypatch):
 
 KILLED = """
 import sys, time
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 one, two = (atomic_path(path, overwrite=True) for path in sys.argv[1:])
 with one as first, two as second, first.open("w") as stream, second.open("w") as other:
     for half in (stream, other):
@@ -142,7 +142,7 @@ def test_killed_writer_leaves_what_was_there(tmp_path):
 
 REWRITING = """
 import sys
-from scope_models.io._atomic import atomic_path
+from scope_models.io._opening import atomic_path
 print("begun", flush=True)
 for digit in "123456789" * 20:
     with atomic_path(sys.argv[1], overwrite=True) as temporary:

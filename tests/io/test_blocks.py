@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io._blocks import Block, card_texts, write_blocks
+from scope_models.io._headers import Block, card_texts, write_blocks
 
 VALUES = [
     *(True, False, 0, -7, 2**63, 2**80, 0.0, -0.0, 1.0, 1e22, -1.25e-300, 1 / 3, -1e-5 / 3),
@@ -39,7 +39,7 @@ def test_checksums_are_those_of_astropy(seed):
     cards = [("TTYPE1", "A", ""), ("TFORM1", "J", ""), ("TTYPE2", "B", ""), ("TFORM2", "3A", "")]
     cards += [("TTYPE3", "C", ""), ("TFORM3", "6E", ""), ("TDIM3", "(3,2)", "")]
     number = ("NEXTEND", 2, "number of extensions")
-    blocks = [Block.of([number, ("SEED", seed, "")]), Block.of([], image), Block.of(cards, rows)]
+    blocks = [Block([number, ("SEED", seed, "")]), Block([], image), Block(cards, rows)]
     stream = io.BytesIO()
     write_blocks(blocks, stream)
     stream.seek(0)

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import savgol_coeffs
 
 from scope_models.photometry import (
+    LONG_CADENCE,
     aperture_flux,
     cdpp,
     circular_aperture,
@@ -19,7 +20,6 @@ from scope_models.photometry import (
     signal_to_noise_aperture,
     threshold_aperture,
 )
-from scope_models.photometry.precision import LONG_CADENCE
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def lk():
 
 def _awkward_series():
     """A trend, a gap, outliers and missing points."""
-    time = np.delete(np.arange(2000), slice(900, 1100)) * LONG_CADENCE.value
+    time = np.delete(np.arange(2000), slice(900, 1100)) * LONG_CADENCE
     flux = np.random.default_rng(3).normal(5e4, 12, size=len(time)) * (1 + 0.01 * np.sin(time))
     flux[[50, 400, len(flux) - 1]] *= [2, 0.9, 1.01]
     flux[700:703] = np.nan
@@ -45,7 +45,7 @@ def _awkward_series():
 def test_cdpp_is_lightkurves_number(lk, n_window):
     time, flux = _awkward_series()
     lc = lk.LightCurve(time=time, flux=flux)
-    duration = n_window * LONG_CADENCE
+    duration = n_window * LONG_CADENCE * u.day
     assert_allclose(
         cdpp(lc, duration), lc.estimate_cdpp(transit_duration=n_window).value, rtol=1e-8
     )
