@@ -6,8 +6,11 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "files": ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"],
+        "files": [
+            "SkyScore", "benchmark_star", "make_benchmark", "score", "score_light_curves",
+            "summarize_scores",
+        ],
         "regimes": ["REGIMES", "SkyRegime"],
-        "sky": ["MessyStar", "SkyScore", "make_sky", "score"],
+        "sky": ["MessyStar", "make_sky"],
     },
-)
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Messy stars: pixels with all that real skies do, their truth, and scores of corrected curves."""
+"""Messy stars: pixels with all that real skies do, and their truth."""
 
 from collections import namedtuple
 from dataclasses import dataclass, field
@@ -6,20 +6,25 @@ from functools import lru_cache
 
 import numpy as np
 
-from scope_models._arrays import plain_array
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import Value
-from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit
-from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
-from scope_models.benchmark._scores import SkyScore, score_light_curve
+from scope_models.benchmark._light import (
+    LIGHTS,
+    MOTIONS,
+    bleed,
+    make_psf,
+    make_response,
+    make_transit,
+    render,
+)
 from scope_models.benchmark.regimes import REGIMES, SkyRegime
 from scope_models.effects._noise import red_noise
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
 
-__all__ = ["MessyStar", "SkyScore", "make_sky", "score"]
+__all__ = ["MessyStar", "make_sky"]
 
 _LONG = K2Roll.cadence  # days
 _POSITIONS = ("wrong", "exact", "none")
@@ -225,44 +230,6 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
         pos_corr2=pos_corr[1], x=x, y=y, width=width, true_flux=true_flux, transit=transit,
         star_light=star_light, neighbor_light=others, background_light=residual, sky=sky,
         aperture=aperture, noise=noise / exposure,
-    )  # fmt: skip
-
-
-def score(lc, sky):
-    """Compare a light curve with the truth.
-
-    Parameters
-    ----------
-    lc : lightkurve.LightCurve
-        Corrected (or raw) light curve with cadence numbers, from `MessyStar.to_tpf`.
-    sky : MessyStar
-        The star. The noise in the file's aperture is the floor of all correctors.
-
-    Returns
-    -------
-    SkyScore
-        The scores.
-
-    Raises
-    ------
-    ValueError
-        If the light curve has no column ``cadenceno``.
-
-    Examples
-    --------
-    >>> from scope_models.benchmark import make_sky, score
-    >>> sky = make_sky("k2-1x-transits-1pct", seed=1, n_cadences=300)
-    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
-    >>> bool(0.7 < score(lc, sky).depth < 1.3)
-    True
-    """
-    if "cadenceno" not in getattr(lc, "columns", ()):
-        raise ValueError("`lc` must have the column cadenceno")
-    rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
-    flux, error = (plain_array(lc[name], None, name) for name in ("flux", "flux_err"))
-    return score_light_curve(
-        sky.regime.cadence * rows, flux, error, sky.true_flux[rows], sky.transit[rows],
-        sky.floor(),
     )  # fmt: skip
 
 
