@@ -10,7 +10,7 @@ import scope_models as sm
 
 __all__ = [
     "add_command", "add_options", "add_planet", "add_workers", "adder", "check_number", "client_of",
-    "given", "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
+    "given", "planet_of", "refuse_options_of_runs", "run", "with_config",
 ]  # fmt: skip
 
 
@@ -28,16 +28,14 @@ def adder(group):
     return lambda flag, text, **settings: group.add_argument(flag, help=text, **settings)
 
 
-def add_planet(group, **texts):
-    """Add the options of a planet, all or those with a text."""
-    texts = texts or {
-        "period": "period of a planet, days; needs --depth",
-        "depth": "relative drop of its transits",
-        "t0": "a mid-transit, days as in the file (default: half a period after the first one)",
-        "duration": "of its transits, days (default: central ones of a star like the Sun)",
-    }
-    for name, text in texts.items():
-        group.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
+def add_planet(group):
+    add = adder(group)
+    add("--period", "period of a planet, days; needs --depth", type=float, metavar="P")
+    add("--depth", "relative drop of its transits", type=float, metavar="D")
+    text = "a mid-transit, days as in the file (default: half a period after the first one)"
+    add("--t0", text, type=float, metavar="T")
+    text = "of its transits, days (default: central ones of a star like the Sun)"
+    add("--duration", text, type=float, metavar="D")
 
 
 def given(arguments, *names):
@@ -53,29 +51,10 @@ def planet_of(arguments):
     return planet
 
 
-def planets_of(arguments, planet):
-    """Return the planets of ``--planets``, a table, or the one given as columns; None without."""
-    if arguments.planets is None:
-        return {name: [value] for name, value in planet.items()} or None
-    if planet:
-        raise ValueError("--period and --depth cannot be combined with --planets")
-    from scope_models.io._opening import read_table
-
-    return read_table(arguments.planets)
-
-
 def check_number(arguments, name):
     value = getattr(arguments, name, None)
     if value is not None and value < 1:
         raise ValueError(f"--{name} must be at least 1, got {value}")
-
-
-def single(arguments):
-    """Return the file of a command that has no --output-dir."""
-    if arguments.output is None or len(arguments.input) > 1:
-        raise ValueError("give --output for one input, or --output-dir for any number")
-    refuse_options_of_runs(arguments)
-    return sm.batch.find_files(arguments.input)[0]
 
 
 def refuse_options_of_runs(arguments):

@@ -1,4 +1,4 @@
-"""``scope-models detrend``, ``fit`` and ``inject``: target pixel files in, FITS files out."""
+"""``scope-models detrend``, ``fit``, ``inject``, ``report``, ``benchmark`` and ``score``."""
 
 from pathlib import Path
 
@@ -18,10 +18,25 @@ def add_parser(commands):
     _add_detrend(commands)
     _add_fit(commands)
     _add_inject(commands)
+    text = "write a page about a run over many files"
+    _, add = _batch.add_command(commands, _report, "report corrected", text)
+    add("folder", "the --output-dir of the run", metavar="FOLDER")
+    add("--output", "the page (default: report.html in the folder)", metavar="FILE")
+    example = "benchmark --stars 5 --output-dir skies"
+    text = "write target pixel files whose truth is known"
+    parser, add = _batch.add_command(commands, _benchmark, example, text)
+    _batch.add_options(parser)
+    add("--stars", "only the first N", type=int, default=200, metavar="N")
+    example = "score corrected/sky0001-lc.fits --output scores.ecsv"
+    text = "compare corrected light curves of the benchmark with the truth"
+    _, add = _batch.add_command(commands, _score, example, text)
+    add("input", "light-curve files", nargs="+", metavar="LC")
+    add("--output", "write the scores of each file, as ECSV", metavar="TABLE")
+    add("--overwrite", "replace the table if it exists", action="store_true")
 
 
 def _add_command(commands, one, output, example, text):
-    """Return the parser of a command and a function that adds one of its options.
+    """Return the parser of a command, and functions that add an option: for `_run`, or of its own.
 
     ``one`` treats a file, ``NAME_files`` of `scope_models.batch` many, with options by ``dest``.
     """
@@ -32,14 +47,18 @@ def _add_command(commands, one, output, example, text):
     _batch.add_options(parser)
     names = []
     parser.set_defaults(run=_run, command=example.split()[0], one=one, names=names)
-    return parser, lambda *option, **settings: names.append(add_any(*option, **settings).dest)
+
+    def add(*option, **settings):
+        names.append(add_any(*option, **settings).dest)
+
+    return parser, add, add_any
 
 
 def _run(arguments):
     _batch.check_number(arguments, "cadences")
     options = _batch.given(arguments, *arguments.names)
     if arguments.command == "inject":
-        options["planets"] = _batch.planets_of(arguments, _batch.planet_of(arguments))
+        options["planets"] = _planets_of(arguments, _batch.planet_of(arguments))
         if options["planets"] is None:
             raise ValueError("--period and --depth are needed, or --planets")
     if arguments.command == "detrend":
@@ -47,16 +66,29 @@ def _run(arguments):
     if arguments.output_dir is not None:
         compute = getattr(sm.batch, f"{arguments.command}_files")
         return _batch.run(compute, arguments, arguments.input, **options)
-    path = _batch.single(arguments)
+    if arguments.output is None or len(arguments.input) > 1:
+        raise ValueError("give --output for one input, or --output-dir for any number")
+    _batch.refuse_options_of_runs(arguments)
+    (path,) = sm.batch.find_files(arguments.input)
     print(arguments.one(arguments, path, overwrite=arguments.overwrite, **options))
     return 0
+
+
+def _planets_of(arguments, planet):
+    """Return the planets of ``--planets``, a table, or the one given as columns; None without."""
+    if arguments.planets is None:
+        return {name: [value] for name, value in planet.items()} or None
+    if planet:
+        raise ValueError("--period and --depth cannot be combined with --planets")
+    from scope_models.io._opening import read_table
+
+    return read_table(arguments.planets)
 
 
 def _add_detrend(commands):
     text = "correct the light curve of a target pixel file"
     example = "detrend star.fits --output lc.fits"
-    parser, add = _add_command(commands, _detrend, "the light-curve file", example, text)
-    add_any = _batch.adder(parser)
+    parser, add, add_any = _add_command(commands, _detrend, "the light-curve file", example, text)
     add_any("--figure", "the figure (default: the output's name with .png)", metavar="FILE")
     add("--order", "pixel fractions that are multiplied (default: 2)", type=int)
     add("--trend", "model of the long-term variability (default: gp)", choices=("gp", "quadratic"))
@@ -73,18 +105,18 @@ def _add_detrend(commands):
         "same CCD where it is missing or disagrees with these)"
     )
     add_any("--positions-from", text, nargs="+", metavar="FILE")
-    masked = parser.add_argument_group("transits that are left out of the fit")
-    _batch.add_planet(
-        masked, period="period of a planet, days", t0="a mid-transit, days as in the file",
-        duration="of its transits, days",
-    )  # fmt: skip
+    add_any = _batch.adder(parser.add_argument_group("transits that are left out of the fit"))
+    add_any("--period", "period of a planet, days", type=float, metavar="P")
+    add_any("--t0", "a mid-transit, days as in the file", type=float, metavar="T")
+    add_any("--duration", "of its transits, days", type=float, metavar="D")
     text = "a table that astropy reads with these columns: one row for each file"
-    masked.add_argument("--planets", metavar="TABLE", help=text)
+    add_any("--planets", text, metavar="TABLE")
     add_any = _batch.adder(parser.add_argument_group("files for archives, with --output-dir"))
     text = "fits: a file per star; hlsp: files as in an archive's collection; parquet: one data set"
-    formats = "fits", "hlsp", "parquet"
-    add_any("--format", f"{text} (default: fits)", choices=formats, default="fits")
-    add_any("--hlsp-id", "identifier of the collection, for --format hlsp", metavar="TEXT")
+    text += " (default: fits)"
+    add_any("--format", text, choices=("fits", "hlsp", "parquet"), default="fits")
+    text = "identifier of the collection, for --format hlsp"
+    add_any("--hlsp-id", text, dest="id", metavar="TEXT")
     add_any("--lead", "name of who leads it", metavar="TEXT")
     add_any("--version", "its version, as 1.0", metavar="TEXT")
     add_any("--title", "its title", metavar="TEXT")
@@ -96,13 +128,12 @@ def _detrend_options(arguments):
     planet = _batch.given(arguments, "period", "t0", "duration")
     if planet and (len(planet) < 3 or arguments.planets is not None):
         raise ValueError("a mask of transits needs --period, --t0 and --duration, or --planets")
-    hlsp = _batch.given(arguments, "hlsp_id", "lead", "version", "title", "doi")
-    hlsp = {name.removeprefix("hlsp_"): value for name, value in hlsp.items()}
+    hlsp = _batch.given(arguments, "id", "lead", "version", "title", "doi")
     if arguments.format == "hlsp" and not {"id", "lead", "version"} <= hlsp.keys():
         raise ValueError("--format hlsp needs --hlsp-id, --lead and --version")
     if arguments.output_dir is not None:
         many = {"format": arguments.format, "hlsp": hlsp or None}
-        many["planets"] = _batch.planets_of(arguments, planet)
+        many["planets"] = _planets_of(arguments, planet)
         return many | _batch.given(arguments, "positions_from")
     if arguments.format != "fits" or arguments.planets:
         raise ValueError("--format and --planets need an --output-dir")
@@ -137,7 +168,7 @@ def _detrend(arguments, path, **options):
 def _add_fit(commands):
     text = "fit PSF, sensitivity, positions and fluxes to a target pixel file"
     example = "fit star.fits --components 2 --robust --output fit.fits"
-    _, add = _add_command(commands, _fit, "the file to write", example, text)
+    _, add, _ = _add_command(commands, _fit, "the file to write", example, text)
     text = "Gaussian components of the PSF (default: what describes the pixels)"
     add("--components", text, dest="psf", type=int, choices=(1, 2, 3))
     text = "order of an empirical term in the PSF (default: none)"
@@ -170,11 +201,11 @@ def _fit(arguments, path, **options):
 def _add_inject(commands):
     text = "add transits to the pixels of a target pixel file"
     example = "inject star.fits --period 4.2 --depth 0.001 --output planet.fits"
-    parser, add = _add_command(commands, _inject, "the file to write", example, text)
+    parser, add, add_any = _add_command(commands, _inject, "the file to write", example, text)
     _batch.add_planet(parser)
     text = "a table that astropy reads with the columns period and depth, and if wanted t0 and "
     text += "duration: one row for each file"
-    parser.add_argument("--planets", metavar="TABLE", help=text)
+    add_any("--planets", text, metavar="TABLE")
     text = "the light that is dimmed: scene, that of a simulated file; fit, that of a fit of the "
     text += "PSF; or the share of the star in all pixels (default: the scene if there is one, else "
     add("--star", f"{text}the fit)", type=_light, metavar="LIGHT")
@@ -202,3 +233,45 @@ def _inject(arguments, path, planets, **options):
         f"{arguments.output}: mid-transit at {row['t0']:.4f} d, {row['in_transit']} cadences in "
         f"transit, {1e6 * row['injected_depth']:.0f} ppm of the light of all pixels"
     )
+
+
+def _report(arguments):
+    """Write one HTML page about a run.
+
+    Noise against magnitude, outliers with their pixels, light curves and positions, warnings, and
+    failures by cause. It holds all of its figures and needs no network.
+    """
+    print(sm.batch.write_report(arguments.folder, arguments.output))
+
+
+def _benchmark(arguments):
+    """Write 200 target pixel files of messy stars, the same on every machine.
+
+    They have motion, focus, neighbors, background, variability and transits. Correct them with any
+    pipeline, then let `scope-models score` compare the light curves with the truth.
+    """
+    if arguments.output_dir is None:
+        arguments.parser.error("the following arguments are required: --output-dir")
+    return _batch.run(sm.benchmark.make_benchmark, arguments, stars=arguments.stars)
+
+
+def _score(arguments):
+    """Print the medians of the scores by regime.
+
+    full and high_passed: scatter in 6.5 h about the truth over that of the noise; amplitude and
+    depth: part of variability and transits that is kept; pull: deviations over quoted errors; kept:
+    part of the cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for
+    the truth: dependence on the place within the pixel, and steps from pixel to pixel.
+    """
+    from scope_models.io._atomic import atomic_path, check_output
+
+    if arguments.output is not None:
+        check_output(arguments.output, overwrite=arguments.overwrite, inputs=arguments.input)
+    table = sm.benchmark.score_light_curves(arguments.input)
+    summary = sm.benchmark.summarize_scores(table)
+    for name in summary.colnames[2:]:
+        summary[name].info.format = ".3g"
+    print("\n".join(summary.pformat(max_lines=-1, max_width=-1)))
+    if arguments.output is not None:
+        with atomic_path(arguments.output, overwrite=arguments.overwrite) as temporary:
+            table.write(temporary, format="ascii.ecsv")

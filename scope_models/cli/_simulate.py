@@ -1,21 +1,32 @@
-"""``scope-models simulate``: a target pixel file of one star, and its neighbors."""
+"""``scope-models demo`` and ``simulate``: target pixel files of simulated stars."""
+
+from functools import partial
+from pathlib import Path
 
 import scope_models as sm
 from scope_models.cli import _batch
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser"]
 
 _CADENCES = 1000
 # The options that go together with --table.
-_OF_TABLES = ("table", "output_dir", "overwrite", "workers", "scheduler", "detector", "motion")
-_OF_TABLES += ("cadences", "seed")
+_OF_TABLES = (
+    "table", "output_dir", "overwrite", "workers", "scheduler", "detector", "motion", "cadences",
+    "seed",
+)  # fmt: skip
 _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
 def add_parser(commands):
+    text = "simulate and correct a star, without any input"
+    _, add = _batch.add_command(commands, _demo, "demo --output-dir demo", text)
+    text = "where the files go; it is made if need be (default: scope-models-demo)"
+    add("--output-dir", text, default="scope-models-demo", metavar="FOLDER")
+    add("--overwrite", "replace files that exist", action="store_true")
+    add("--seed", "seed of the noise (default: 1)", type=int, default=1)
     text = "write a target pixel file of a star"
     example = "simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits"
-    parser, add = _batch.add_command(commands, run, example, text)
+    parser, add = _batch.add_command(commands, _simulate, example, text)
     add("--output", "the file to write", metavar="FILE")
     text = (
         "simulate each row of a table that astropy reads (columns mag and, if wanted, name, x_0, "
@@ -93,7 +104,7 @@ def _add_detector(group):
     add("--no-noise", "expected counts without noise", action="store_true")
 
 
-def run(arguments):
+def _simulate(arguments):
     """Simulate the pixels of a star along a spacecraft's motion.
 
     Writes them with the truth to a target pixel file that lightkurve opens.
@@ -118,10 +129,7 @@ def run(arguments):
     if arguments.no_sensitivity:
         detector = detector.without_sensitivity()
     motion = _make_motion(arguments, detector)
-    noise = arguments.noise or not arguments.no_noise
-    fields = {"seed": arguments.seed, "noise": noise, "n_sub": arguments.n_sub}
-    fields |= {"effects": "mission"} if arguments.mission_effects else {}
-    scene = _make_scene(arguments, detector, motion, fields)
+    scene = _make_scene(arguments, detector, motion)
     sm.simulate(scene).write(arguments.output, overwrite=arguments.overwrite)
     rows, columns = detector.shape
     stars = f", {len(scene.stars)} stars" if arguments.catalog else ""
@@ -156,28 +164,31 @@ def _make_motion(arguments, detector):
     return arguments.scale * motion[:number]
 
 
-def _make_scene(arguments, detector, motion, fields):
+def _make_scene(arguments, detector, motion):
     from scope_models.batch.files import planet_model
 
-    fields |= {"target_id": arguments.target_id, "object_name": arguments.name}
-    fields["metadata"] = _batch.given(arguments, *_RUNS)
+    given = partial(_batch.given, arguments)
+    options = given("seed", "n_sub", "target_id", "orientation") | {"metadata": given(*_RUNS)}
+    options |= {"noise": arguments.noise or not arguments.no_noise, "object_name": arguments.name}
+    if arguments.mission_effects:
+        options["effects"] = "mission"
     if (arguments.ra is None) != (arguments.dec is None):
         raise ValueError("--ra and --dec go together")
-    x_0, y_0 = arguments.position or (None, None)
     psf = signal = None
     if arguments.psf is not None:
         psf = sm.BivariateGaussianPSF(1, 0, 0, *arguments.psf)
     if planet := _batch.planet_of(arguments):
         signal = planet_model(planet, motion.time, detector.cadence_days)
+    x_0, y_0 = arguments.position or (None, None)
     # The magnitude of a catalog's star is set later.
     star = sm.Star(arguments.mag or 0.0, x_0, y_0, psf, signal)
     if arguments.catalog is None and arguments.background_stars is None:
         stars = [star, *(sm.Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]
-        fields |= _batch.given(arguments, "ra", "dec", "orientation")
-        return sm.Scene(stars, detector, motion, **fields)
+        return sm.Scene(stars, detector, motion, **options, **given("ra", "dec"))
     if arguments.ra is None or arguments.neighbor:
         raise ValueError("--catalog and --background-stars need --ra and --dec, and no --neighbor")
-    return _make_field(arguments, star, detector, motion, fields)
+    options |= given("magnitude_limit", "background_stars")
+    return _make_field(arguments, star, detector, motion, options)
 
 
 def _make_field(arguments, target, detector, motion, options):
@@ -186,10 +197,65 @@ def _make_field(arguments, target, detector, motion, options):
     from scope_models.io._opening import read_table
 
     table = None if arguments.catalog is None else read_table(arguments.catalog)
-    options |= _batch.given(arguments, "orientation", "magnitude_limit", "background_stars")
     coord = SkyCoord(arguments.ra, arguments.dec, unit="deg")
     if arguments.mag is None:
         found = sm.Scene.from_catalog(table, coord, detector, motion, **options)
         coord = SkyCoord(found.ra, found.dec, unit="deg")
         target = target.replace(mag=found.stars[0].mag)
     return sm.Scene.from_catalog(table, coord, detector, motion, target=target, **options)
+
+
+def _demo(arguments):
+    """Simulate a spotted star of magnitude 12 with a planet at twice the motion of K2.
+
+    Writes its target pixel file, its corrected light curve and a figure, and prints its noise about
+    the true signal. Needs no file and no network.
+    """
+    import numpy as np
+    from tqdm import tqdm
+
+    from scope_models.io._atomic import atomic_path, check_output
+
+    folder = Path(arguments.output_dir)
+    paths = [folder / name for name in ("pixels.fits", "light-curve.fits", "summary.png")]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in paths:
+        check_output(path, overwrite=arguments.overwrite)
+    with tqdm(total=3, leave=False, disable=None) as bar:
+        bar.set_description("simulating")
+        motion = 2 * sm.Motion.k2_roll()
+        observation = _demo_star(motion, arguments.seed)
+        still = _demo_star(motion * 0, arguments.seed)
+        observation.write(paths[0], overwrite=arguments.overwrite)
+        bar.update()
+        bar.set_description("correcting")
+        corrector = sm.correctors.detrend_file(*paths[:2], overwrite=arguments.overwrite)
+        corrected, aperture = corrector.corrected_lc, corrector.aperture_mask
+        bar.update()
+        bar.set_description("drawing")
+        title = "A star of magnitude 12 with spots and a planet, at twice K2's motion"
+        axes = observation.plot(corrected, aperture, title=title)
+        with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
+            axes["image"].figure.savefig(temporary, dpi=110)
+        bar.update()
+    curves = {"raw": corrector.original_lc, "corrected": corrected}
+    curves["at rest"] = still.to_lightcurve(aperture)
+    for name, lc in curves.items():
+        seen = np.isin(observation.cadenceno, lc.cadenceno)
+        curves[name] = lc / observation.truth.relative_flux[0, seen]
+    print("6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)")
+    for name, lc in curves.items():
+        print(f"{name:12s}{sm.photometry.cdpp(lc):8.1f}")
+    others = [f"{sm.photometry.cdpp(lc, method='everest'):.1f}" for lc in curves.values()]
+    print(f"EVEREST's convention gives {', '.join(others)}", "", "Written:", sep="\n")
+    for path in paths:
+        print(f"  {path}")
+
+
+def _demo_star(motion, seed):
+    detector = sm.Detector.k2()
+    planet = sm.TransitModel.from_depth_duration(
+        0.001, 0.25, 4.1, motion.time[0] + 2.0, exposure_time=detector.cadence_days
+    )
+    signal = planet * sm.models.sinusoidal_signal(0.002, period=9.0)
+    return sm.simulate(sm.Star(12.0, signal=signal), detector, motion, seed=seed)
