@@ -10,12 +10,9 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "files": [
-            "detrend_files", "find_files", "fit_files", "inject_file", "inject_files",
-            "simulate_table",
-        ],
-        "report": ["write_report"],
-        "results": ["read_results"],
+        "detrend": ["detrend_files"],
+        "files": ["find_files", "fit_files", "inject_file", "inject_files", "simulate_table"],
+        "results": ["read_results", "write_report"],
         "sweep": ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"],
     },
-)  # fmt: skip
+)

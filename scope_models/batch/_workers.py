@@ -16,9 +16,8 @@ import numpy as np
 
 from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
-from scope_models.batch._store import listed
 
-__all__ = ["check_client", "checked_tasks", "computed"]
+__all__ = ["check_client", "checked_tasks", "computed", "listed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
@@ -41,16 +40,18 @@ def _measured(measure, tasks):
 
 
 def _failure(task, error):
-    """Return the record of a star that failed; long texts are cut in the middle."""
+    """Return the record of a star that failed."""
     try:
-        texts = f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error))
+        reason, trace = f"{type(error).__name__}: {error}", traceback.format_exception(error)
     except Exception:  # noqa: BLE001 - an exception that cannot be printed
-        texts = [type(error).__name__] * 2
-    kept = []
-    for text, size in zip(texts, (1000, 4000), strict=True):
-        cut = f"{text[: size // 2]} [...] {text[-size // 2 :]}" if len(text) > size else text
-        kept.append(cut.encode("utf-8", "backslashreplace").decode())
-    return {"task": task, "error": kept[0], "traceback": kept[1]}
+        reason = trace = type(error).__name__
+    return {"task": task, "error": _cut(reason, 1000), "traceback": _cut("".join(trace), 4000)}
+
+
+def _cut(text, size):
+    """Return a text without the middle of a long one."""
+    cut = f"{text[: size // 2]} [...] {text[-size // 2 :]}" if len(text) > size else text
+    return cut.encode("utf-8", "backslashreplace").decode()
 
 
 def checked_tasks(tasks):
@@ -164,6 +165,11 @@ def _completed(client, job, chunks, in_flight):
     if lost:
         keys = listed(sorted(task["key"] for task in lost))
         raise BrokenExecutor(f"the workers are lost, with {len(lost)} stars in flight ({keys})")
+
+
+def listed(names):
+    """Return the first names as a text."""
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from scope_models._arrays import plain_array, values_of
 from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
-from scope_models.batch._many import RAISES, RUN, medians, run_files
+from scope_models.batch.files import RAISES, RUN, medians, run_files
 from scope_models.benchmark.regimes import REGIMES
 from scope_models.benchmark.sky import make_sky
 from scope_models.io._opening import first_table, open_fits, read_table
@@ -440,10 +440,9 @@ def _depth(time, flux, truth, transit):
         return np.nan
     flux = flux / (truth / transit)
     flux = flux / np.median(flux)
-    starts = np.flatnonzero(np.diff(inside.astype(int), prepend=0) == 1)
-    ends = np.flatnonzero(np.diff(inside.astype(int), append=0) == -1)
-    upper = lower = 0.0
-    for start, end in zip(starts, ends, strict=True):
+    edges = np.flatnonzero(np.diff(inside, prepend=False, append=False))
+    products = np.zeros(2)
+    for start, end in edges.reshape(-1, 2) - (0, 1):
         half = time[end] - time[start]
         near = (time > time[start] - half) & (time < time[end] + half)
         line = np.vander(time[near] - time[start], 2)
@@ -451,6 +450,5 @@ def _depth(time, flux, truth, transit):
             continue
         both = np.column_stack([flux[near], transit[near] - 1])
         rest = both - line @ np.linalg.lstsq(line, both, rcond=None)[0]
-        upper += rest[:, 0] @ rest[:, 1]
-        lower += rest[:, 1] @ rest[:, 1]
-    return float(upper / lower) if lower > 0 else np.nan
+        products += rest[:, 1] @ rest
+    return float(products[0] / products[1]) if products[1] > 0 else np.nan

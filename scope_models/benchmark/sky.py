@@ -1,4 +1,10 @@
-"""Messy stars: pixels with all that real skies do, and their truth."""
+"""Messy stars: pixels with all that real skies do, and their truth.
+
+Neither simulator nor correctors nor fits use this rendering. The PSF is a Fourier series on a
+periodic field, the response of each pixel an oversampled map. The light of a pixel is the sum over
+the modes of the PSF's coefficient, the phase of the star's position, and the transform of the
+pixel's map. Positions enter exactly, without interpolation.
+"""
 
 from collections import namedtuple
 from dataclasses import dataclass, field
@@ -9,16 +15,7 @@ import numpy as np
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import Value
-from scope_models.benchmark._light import (
-    LIGHTS,
-    MOTIONS,
-    bleed,
-    make_psf,
-    make_response,
-    make_transit,
-    render,
-)
-from scope_models.benchmark.regimes import REGIMES, SkyRegime
+from scope_models.benchmark.regimes import LIGHTS, MOTIONS, REGIMES, SkyRegime, make_transit
 from scope_models.effects._noise import red_noise
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
@@ -32,6 +29,11 @@ _POSITIONS = ("wrong", "exact", "none")
 _SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
 _ARGABRIGHTENING = 4096  # on the CCD
 _SAMPLES = 9  # of the light of an exposure: a jump within it is right to 1/18
+
+_MARGIN = 4  # pixels around the stamp until the field repeats
+_OVERSAMPLING = 12
+_HIGHEST = 2.5  # cycles per pixel: the narrowest component has exp(-25) of its light there
+_CHUNK = 300
 
 # Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
 # magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
@@ -216,20 +218,19 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     electrons[hits] += 3000 * rngs["rays"].lognormal(0, 1, hits.sum())  # that the pipeline missed
     # Transits do not change the aperture: a star with and without them has the same.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
-    outside &= on
-    aperture = _best_aperture(seen[outside], noise[outside] / exposure, part)
+    plain = outside & on
+    aperture = _best_aperture(seen[plain], noise[plain] / exposure, part)
     given = rngs["positions"], time, quality, lost, positions
-    pos_corr = [_measured(offset, *given) for offset in offsets]
+    pos_corr1, pos_corr2 = (_measured(offset, *given) for offset in offsets)
     flux = (electrons / exposure - sky).astype(np.float32)
     flux[missing] = np.nan
     return MessyStar(
-        regime=regime, seed=seed, noise_seed=noise_seed, positions=positions,
-        time=np.where(missing, np.nan, 2144.1 + time),
+        regime, seed, noise_seed, positions, time=np.where(missing, np.nan, 2144.1 + time),
         cadenceno=np.arange(1, n + 1), quality=quality, flux=flux,
-        flux_err=(noise / exposure).astype(np.float32), pos_corr1=pos_corr[0],
-        pos_corr2=pos_corr[1], x=x, y=y, width=width, true_flux=true_flux, transit=transit,
-        star_light=star_light, neighbor_light=others, background_light=residual, sky=sky,
-        aperture=aperture, noise=noise / exposure,
+        flux_err=(noise / exposure).astype(np.float32), pos_corr1=pos_corr1, pos_corr2=pos_corr2,
+        x=x, y=y, width=width, true_flux=true_flux, transit=transit, star_light=star_light,
+        neighbor_light=others, background_light=residual, sky=sky, aperture=aperture,
+        noise=noise / exposure,
     )  # fmt: skip
 
 
@@ -344,3 +345,125 @@ def _best_aperture(light, noise, part):
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter / np.where(level > 0, level, np.inf) ** 2) + 1]] = True
     return mask.reshape(noise.shape[1:])
+
+
+@dataclass(frozen=True)
+class PixelResponse:
+    """The transforms of all pixels' response maps."""
+
+    shape: tuple  # of the stamp
+    transforms: np.ndarray  # complex, (modes, pixels); no negative modes of columns
+    size: int  # pixels of the periodic field
+
+
+def _modes(size):
+    """Return angular frequencies of rows and of columns, radians per pixel."""
+    highest, unit = int(_HIGHEST * size), 2 * np.pi / size
+    return unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
+
+
+def _phases(places, frequencies):
+    return np.exp(1j * np.outer(places, frequencies))
+
+
+def make_psf(rng, width):
+    """Return a density of Gaussians off the center, a Moffat wing and spikes, not normalized."""
+    cores = [
+        (part, *rng.normal(0, 0.25 * width, 2), width * rng.uniform(0.85, 1.5), rng.uniform(0.8, 1))
+        for part in (0.5, 0.3, 0.2)
+    ]
+    wing = rng.uniform(0.12, 0.25), width * rng.uniform(1.3, 1.8), rng.uniform(2.2, 3.0)
+    angle, spikes = rng.uniform(0, np.pi), rng.uniform(0.01, 0.03)
+
+    def density(x, y):
+        value = 0.0
+        for part, x_0, y_0, sigma, ratio in cores:
+            square = ((x - x_0) / sigma) ** 2 + ((y - y_0) / (ratio * sigma)) ** 2
+            value += part * np.exp(-square / 2) / (2 * np.pi * ratio * sigma**2)
+        part, alpha, beta = wing
+        moffat = (beta - 1) / (np.pi * alpha**2) * (1 + (x**2 + y**2) / alpha**2) ** -beta
+        value += part * moffat
+        for turn in (angle, angle + np.pi / 2):
+            along = x * np.cos(turn) + y * np.sin(turn)
+            across = y * np.cos(turn) - x * np.sin(turn)
+            square = (along / (4 * width)) ** 2 + (across / (0.9 * width)) ** 2
+            value += spikes * np.exp(-square / 2) / (2 * np.pi * 3.6 * width**2)
+        return value
+
+    return density
+
+
+def make_response(rng, shape, *, drop, scatter):
+    """Return the `PixelResponse` of pixels with a mean `drop` to their edges and a `scatter`."""
+    ny, nx = shape
+    u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
+    n = ny * nx
+    drops = drop * rng.normal(1, 0.2, (2, n, 1))
+    maps = (1 - drops[0] * 4 * u**2)[:, :, None] * (1 - drops[1] * 4 * u**2)[:, None, :]
+    waves = np.cos(np.pi * np.arange(4)[:, None] * (u + 0.5))
+    order = np.add.outer(np.arange(4), np.arange(4))
+    sizes = np.where(order > 0, 0.3 * drop / np.maximum(order, 1), 0)
+    maps += np.einsum("pab,ai,bj->pij", rng.normal(0, 1, (n, 4, 4)) * sizes, waves, waves)
+    maps *= rng.normal(1, scatter, n)[:, None, None]
+    size = max(shape) + 2 * _MARGIN
+    rows, columns = _modes(size)
+    # The maps are constant within each of their cells, whose transform is a sinc.
+    cell = 2 * np.pi * _OVERSAMPLING
+    phase_y = _phases(rows, u) * np.sinc(rows / cell)[:, None]
+    phase_x = _phases(columns, u) * np.sinc(columns / cell)[:, None]
+    local = np.einsum("ki,pij,lj->pkl", phase_y, maps, phase_x, optimize=True) / len(u) ** 2
+    place_y = _phases(np.arange(ny), rows).repeat(nx, axis=0)
+    place_x = np.tile(_phases(np.arange(nx), columns), (ny, 1))
+    local *= place_y[:, :, None] * place_x[:, None, :]
+    return PixelResponse(shape, local.reshape(n, -1).T.copy(), size)
+
+
+def render(response, psf, x, y, width):
+    """Return the light ``(n, ny, nx)`` of a star of flux 1 at positions and widths by cadence."""
+    # The series is a polynomial of the width through Chebyshev nodes.
+    middle, half = (width.max() + width.min()) / 2, max(np.ptp(width) / 2, 1e-6)
+    nodes = np.polynomial.chebyshev.chebpts1(3 + int(np.ceil(25 * half)))
+    series = np.array([_series(response, psf, middle + half * node) for node in nodes])
+    degree = len(nodes) - 1
+    values = np.polynomial.chebyshev.chebvander((width - middle) / half, degree)
+    shares = values @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+    rows, columns = _modes(response.size)
+    images = np.empty((len(x), response.transforms.shape[1]))
+    for first in range(0, len(x), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        light = np.tensordot(shares[part], series, 1)
+        light *= _phases(-y[part], rows)[:, :, None]
+        light *= _phases(-x[part], columns)[:, None, :]
+        light = light.reshape(len(light), -1)
+        images[part] = light.real @ response.transforms.real
+        images[part] -= light.imag @ response.transforms.imag
+    return images.reshape(len(x), *response.shape)
+
+
+def _series(response, psf, width):
+    """Return Fourier coefficients of a PSF whose light on the field is 1."""
+    samples = np.arange(response.size * _OVERSAMPLING) / _OVERSAMPLING
+    place = (samples + response.size / 2) % response.size - response.size / 2
+    x, y = np.meshgrid(place / width, place / width)
+    values = psf(x, y)
+    values /= values.sum()
+    rows, columns = _modes(response.size)
+    coefficients = _phases(rows, -samples) @ values @ _phases(columns, -samples).T
+    coefficients[:, 1:] *= 2  # for those of negative columns, which are their conjugates
+    return coefficients / response.size**2
+
+
+def bleed(electrons, well):
+    """Return images whose pixels above the well have spilled along columns, half each way."""
+    images = electrons.copy()
+    full = (images > well).any(axis=(0, 1))
+    columns = images[:, :, full]
+    for _ in range(60 * images.shape[1]):
+        excess = np.maximum(columns - well, 0)
+        if not np.any(excess > 1e-6 * well):
+            break
+        columns -= excess
+        columns[:, 1:] += excess[:, :-1] / 2
+        columns[:, :-1] += excess[:, 1:] / 2
+    images[:, :, full] = columns
+    return images

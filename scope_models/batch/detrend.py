@@ -1,8 +1,9 @@
-"""Corrects one file of many, with positions of other stars of its CCD where its own are wrong."""
+"""Corrects many files, with positions of other stars of a CCD where those of a file are wrong."""
 
 import hashlib
 import warnings
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,20 @@ from astropy.io import fits
 from astropy.table import Table
 from astropy.utils.data import get_readable_fileobj
 
-from scope_models.batch._many import file_state
-from scope_models.batch.results import DATA_SET, write_star
+from scope_models._arrays import values_of
+from scope_models._checks import checked_choice
+from scope_models._docstrings import documented
+from scope_models.batch.files import (
+    RUN,
+    absolute_neighbors,
+    file_state,
+    find_files,
+    header_row,
+    number_of,
+    planet_rows,
+    run_files,
+)
+from scope_models.batch.results import DATA_SET, check_data_set, write_star
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, explains, pos_corr_track
 from scope_models.io import read_pixels, read_tpf
@@ -22,12 +35,8 @@ from scope_models.io.tpf import write_hdulist
 from scope_models.photometry.precision import noise_of
 from scope_models.scene import Motion
 
-__all__ = [
-    "FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest",
-    "write_motions",
-]  # fmt: skip
+__all__ = ["detrend_files"]
 
-FORMATS = "fits", "hlsp", "parquet"
 _MOST = 12  # files of a CCD whose POS_CORR give the motion of its other stars: a limit of time
 _MAJORITY = 3  # stars at least that outvote another one
 _FOLDER = "positions"  # of the motions
@@ -38,7 +47,106 @@ _KEYWORDS = (
 )  # fmt: skip
 
 
-def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, ARG001
+@documented(run=RUN)
+def detrend_files(
+    paths, output_dir, client=None, *, overwrite=False, sweep=None, format="fits", hlsp=None,  # noqa: A002
+    planets=None, positions_from=None, **options,
+):  # fmt: skip
+    """Correct the light curves of many target pixel files.
+
+    Parameters
+    ----------
+    paths : sequence of str or path-like
+        Target pixel files; names of targets are searched and downloaded (`find_files`).
+    output_dir : str or path-like
+        Folder for the light curves and the results, as `run_sweep` writes them: the same call goes
+        on where an earlier one stopped.
+    {run}
+    format : {"fits", "hlsp", "parquet"}, optional
+        A FITS file per star, ``NAME-lc.fits``; FITS files as in an archive's collection of
+        high-level science products, with a manifest; or one data set ``light_curves`` of Parquet
+        files, a row per star.
+    hlsp : mapping of str to str, optional
+        The collection of ``format="hlsp"``: id, lead and version, and if wanted title and doi.
+    planets : astropy.table.Table or mapping, optional
+        Period, t0 (a mid-transit, as in the file) and duration in days, one row for all files or
+        one for each: cadences in transit are left out of the fit.
+    positions_from : sequence of str or path-like, optional
+        Target pixel files whose common motion (`Motion.from_tpfs <scope_models.Motion.from_tpfs>`)
+        is that of all stars of their CCDs. By default stars whose POS_CORR is missing, or disagrees
+        with that of up to 12 files of the run on the same CCD, have the motion of these, and a
+        warning.
+    **options
+        Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
+        `~scope_models.correctors.PLDOptions` that are numbers, text, or true or false;
+        ``survival`` and ``neighbors`` as for `~scope_models.correctors.detrend_file`.
+
+    Returns
+    -------
+    SweepResult
+        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as ``cdpp``
+        and EVEREST's as ``cdpp_everest``), the header's crowding, transit survival if wanted, and
+        warnings; medians by magnitude; failures; and the files.
+
+    Raises
+    ------
+    ValueError
+        If a file is given twice, two have the same name, or one would be replaced.
+    OSError, SweepError
+        As `run_sweep`; SweepError if all files fail.
+
+    Warns
+    -----
+    FailedStarsWarning
+        If files have failed; the others go on.
+
+    Examples
+    --------
+    >>> from scope_models import generate_target
+    >>> from scope_models.batch import detrend_files
+    >>> paths = [
+    ...     generate_target(mag, ncadences=300, seed=1).write(f"kp{mag}.fits") for mag in (11, 12)]
+    >>> result = detrend_files(paths, "corrected", order=1, sweep={"progress": False})
+    >>> [path.name for path in sorted(result.files[0].parent.glob("*.fits"))]
+    ['kp11-lc.fits', 'kp12-lc.fits']
+    >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
+    True
+    """
+    checked_choice("format", format, ("fits", "hlsp", "parquet"))
+    files, inputs = find_files(paths), absolute_neighbors(options)
+    rows, name_output = [{}] * len(files), None
+    if planets is not None:
+        rows = planet_rows(planets, files, ("period", "t0", "duration"), ())
+    if (format == "hlsp") != (hlsp is not None):
+        raise ValueError('`hlsp` is needed by, and only by, `format="hlsp"`')
+    if format != "fits":
+        options |= {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
+    if format == "hlsp":
+        name_output = partial(_archive_name, Collection(**hlsp))
+    elif format == "parquet":
+        name_output = _partition_of
+        check_data_set(output_dir, overwrite=overwrite)
+    others = None if positions_from is None else find_files(positions_from)
+    moved = _write_motions(files, output_dir, others)
+    result = run_files(
+        _detrended, files, output_dir, client, name="detrend", suffix="-lc.fits",
+        rows=[row | more for row, more in zip(rows, moved, strict=True)], options=options,
+        draw=_noise_figure, overwrite=overwrite, sweep=sweep, inputs=inputs,
+        name_output=name_output,
+    )  # fmt: skip
+    if format == "hlsp":
+        manifest = _write_manifest(result.table, output_dir)
+        return result.replace(files=(*result.files, manifest))
+    return result
+
+
+def _noise_figure(table, _):
+    from scope_models.plotting.detrending import plot_precision  # imports matplotlib
+
+    return plot_precision({name: values_of(table, name) for name in ("mag", "raw_cdpp", "cdpp")})
+
+
+def _detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, ARG001
     from scope_models.correctors import _files  # imports lightkurve
 
     path, survival = task["file"], options.pop("survival", False)
@@ -48,12 +156,12 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
         tpf = read_tpf(path)
         if task.get("positions"):
             folder = output.parents[len(Path(task["output"]).parts) - 1]
-            options["positions"] = star_positions(tpf, folder / task["positions"])
+            options["positions"] = _star_positions(tpf, folder / task["positions"])
         corrector = _files.correct_file(tpf, transits, **options)
         series = read_pixels(corrector.tpf)
         header, row = series.header, header_row(series)
         row["campaign"], row["channel"] = ccd_label(header)
-        row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
+        row["ra"], row["dec"] = (number_of(header.get(name)) for name in ("RA_OBJ", "DEC_OBJ"))
         row["n_pixels"] = int(corrector.aperture_mask.sum())
         for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
             row[f"{prefix}cdpp"] = noise_of(_files.written(lc))
@@ -64,7 +172,7 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
         row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         if format == "hlsp":
             collection = Collection(**hlsp)
-            collection.name(series.header)  # raises an error if there is none
+            collection.name(header)  # raises an error if there is none
             hdus = _files.make_archive_hdulist(corrector, path, collection, survival=survival)
         else:
             hdus = _files.make_lightcurve_hdulist(corrector, survival=survival)
@@ -79,22 +187,22 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
     return row
 
 
-def archive_name(collection, file, key):
+def _archive_name(collection, file, key):
     """Return the name of a file in a collection; that of its key where the headers name none."""
     try:
-        return collection.name(file_cards(file))
+        return collection.name(_file_cards(file))
     except ValueError:
         return f"{key}-lc.fits"
 
 
-def partition_of(file, key):
+def _partition_of(file, key):
     """Return the place of a star in the data set, by campaign and channel."""
     # The format has this name for a missing value.
-    run, ccd = (label or "__HIVE_DEFAULT_PARTITION__" for label in ccd_label(file_cards(file)))
+    run, ccd = (label or "__HIVE_DEFAULT_PARTITION__" for label in ccd_label(_file_cards(file)))
     return f"{DATA_SET}/campaign={run}/channel={ccd}/{key}.parquet"
 
 
-def write_manifest(table, folder):
+def _write_manifest(table, folder):
     """Write the list of the files of a collection, with their checksums."""
     path = Path(folder).absolute() / "manifest.csv"
     listed = Table({"file": table["output"], "sha256": table["sha256"], "target": table["object"]})
@@ -104,41 +212,30 @@ def write_manifest(table, folder):
     return path
 
 
-def header_row(series):
-    header, mission = series.header, series.mission
-    row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
-    row["mission"] = mission.name if mission else ""
-    row["mag"] = number_of(header.get(mission.magnitude_keyword) if mission else None)
-    return row
-
-
-def number_of(value):
-    return float(value) if isinstance(value, (int, float)) else np.nan
-
-
-def write_motions(files, folder, positions_from=None):
+def _write_motions(files, folder, positions_from=None):
     """Write the common motion of each CCD; return what the task of each file has of it.
 
     By default it is that of POS_CORR, for files whose own is missing or disagrees.
     """
     given, groups, written = positions_from is not None, defaultdict(list), {}
-    places = [_place(file) for file in files]
     sources = positions_from if given else files
-    for file, place in zip(sources, map(_place, sources) if given else places, strict=True):
-        if given or all(place[:2]):
-            groups[place].append(file)
-    if others := set(groups) - set(places):
+    places = {file: _place(file) for file in dict.fromkeys((*files, *sources))}
+    for file in sources:
+        if given or all(places[file][:2]):
+            groups[places[file]].append(file)
+    of_files = {places[file] for file in files}
+    if others := groups.keys() - of_files:
         text = f"no file of the run is of the same CCD as {groups[min(others)][0]}"
         warnings.warn(text, FitWarning, stacklevel=3)
     folder = Path(folder) / _FOLDER
-    for place in set(groups) & set(places):
+    for place in groups.keys() & of_files:
         name, sources = "-".join(filter(None, place)) or "motion", groups[place]
         if not given:
             sources = sources[:: -(-len(sources) // _MOST)]
         path = not given and _unchanged(folder, name)
         if path or (path := _write_motion(folder, name, sources, given=given)):
             written[place] = f"{_FOLDER}/{path.name}"
-    return [{"positions": written.get(place, "")} if written else {} for place in places]
+    return [{"positions": written.get(places[file], "")} if written else {} for file in files]
 
 
 def _unchanged(folder, name):
@@ -164,19 +261,19 @@ def _write_motion(folder, name, files, *, given):
     else:
         return None
     folder.mkdir(parents=True, exist_ok=True)
-    sources = {str(Path(file).absolute()): file_state(file) for file in files}
+    sources = {file: file_state(file) for file in files}
     motion = motion.replace(meta={**motion.meta, "given": given, "sources": sources})
     return motion.write(path, overwrite=True)
 
 
 def _place(file):
     """Return campaign, CCD and length of the cadences of a file, as its headers have them."""
-    cards = file_cards(file)
+    cards = _file_cards(file)
     step = cards.get("TIMEDEL")
     return *ccd_label(cards), f"{86400 * step:.0f}s" if isinstance(step, float) else ""
 
 
-def star_positions(tpf, path):
+def _star_positions(tpf, path):
     """Return the motion of a CCD for a star; None if its own positions agree with it."""
     motion, series, reason = Motion.read(path), read_pixels(tpf), ""
     n_stars = len(motion.meta["stars"])
@@ -198,7 +295,7 @@ def star_positions(tpf, path):
     return motion
 
 
-def file_cards(file):
+def _file_cards(file):
     """Return the cards that name a target pixel file; none of one that cannot be read."""
     try:
         opened = get_readable_fileobj(file, encoding="binary")
