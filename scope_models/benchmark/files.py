@@ -1,4 +1,4 @@
-"""A fixed set of messy stars whose truth is known, and scores of anybody's corrections of them."""
+"""The benchmark, a fixed set of messy stars, and scores of corrections."""
 
 import re
 from dataclasses import asdict, dataclass
@@ -125,7 +125,7 @@ def _written(task, output, seed, *, version):  # noqa: ARG001 - the same on ever
 
 @dataclass(frozen=True)
 class SkyScore:
-    """Score of a light curve, but for a constant factor, against the star's true flux.
+    """Score of a light curve against the star's true flux, but for a constant factor.
 
     Attributes
     ----------
@@ -134,10 +134,9 @@ class SkyScore:
     high_passed : float
         The same after a running mean of 3 d has been subtracted.
     amplitude : float
-        Part of the star's variability that is kept: slope of the corrected flux on the true one,
-        outside of transits; NaN for constant stars.
+        Slope of the corrected flux on the true one, outside of transits; NaN for constant stars.
     depth : float
-        Part of the transits' depth that is kept, below a line around each; NaN without transits.
+        Depth of the transits over the true one, below a line around each; NaN without transits.
     pull : float
         Root mean square of the cadences' deviations from the truth over the quoted errors.
     kept, floor : float
@@ -207,17 +206,16 @@ def score_light_curves(paths):
     ----------
     paths : sequence of str or path-like
         Light curves: the first table of a FITS file, or another table that astropy reads, with the
-        columns CADENCENO, FLUX and FLUX_ERR in upper or lower case. ``skyNNN`` in the name of the
-        file identifies the star, or KEPLERID or TICID in its header.
+        columns CADENCENO, FLUX and FLUX_ERR in upper or lower case. A file's name identifies its
+        star by ``skyNNN``, else its header by KEPLERID or TICID.
 
     Returns
     -------
     astropy.table.Table
-        A row per file: "file", "regime" and the fields of `~scope_models.benchmark.SkyScore`. The
-        truth with the noise of its pixels has 1 in ``full``, ``high_passed``, ``amplitude``,
-        ``depth`` and ``pull``. For codes of photometry, "bias" is the standard deviation of what
-        depends on the place within the pixel, "step" the root mean square of the steps where the
-        star crosses from pixel to pixel, both in ppm and less the expected noise: 0 for the truth.
+        A row per file: "file", "regime" and the fields of `~scope_models.benchmark.SkyScore`, which
+        are 1 for the truth with the noise of its pixels but for ``floor``. "bias" is the standard
+        deviation of what depends on the place within the pixel, "step" the root mean square of the
+        steps where the star crosses from pixel to pixel, both in ppm and less the expected noise.
 
     Raises
     ------
@@ -343,11 +341,9 @@ def score_light_curve(time, flux, error, truth, transit, noise):
 
 
 def score_places(time, flux, truth, x, y):
-    """Return how much a light curve depends on the star's place within the pixel, in ppm.
+    """Return the bias, for a sum of functions of the fractions of x and y, and the step, in ppm.
 
-    "bias" is the standard deviation of the part of the flux that is a sum of functions of the
-    fractions of x and y; "step" the root mean square of the steps where the star crosses from pixel
-    to pixel, NaN if it crosses none. The expected noise is taken off both.
+    `score_light_curves` defines both; NaN stands for too few cadences, or no crossing of pixels.
     """
     good = np.isfinite(flux * truth * x * y)
     time, flux, truth, x, y = (a[good] for a in (time, flux, truth, x, y))

@@ -31,28 +31,26 @@ class SkyRegime(Value):
         Kind of variability: "constant", "spots", "sine", "rr_lyrae", "delta_scuti", "eclipsing",
         "flaring", "bump", "rise" or "walk".
     period : float, optional
-        Its period, the mean time between flares, the full width of a bump at half of its height,
-        the time of a rise, or the correlation time of a random walk, days.
+        Its period, the mean time between flares, the full width of a bump at half its height, the
+        time of a rise, or the correlation time of a random walk, days.
     amplitude : float, optional
-        About half its relative range; of eclipses the depth, of a bump or rise the height, of a
-        random walk the standard deviation.
+        About half its relative range; the depth of eclipses, the height of a bump or rise, the
+        standard deviation of a random walk.
     depth, transit_period, duration : float, optional
-        Relative depth, period and duration of transits, days. A period of infinity stands for one
-        transit.
+        Relative depth, period (infinite for one transit) and duration of transits, days.
     neighbors : tuple of (float, float, float), optional
         Magnitude difference, distance (px) and amplitude of a 1.1-d variability of each neighbor.
     focus, focus_period : float, optional
         Largest relative change of the PSF's width, and its period, days.
     seeing : float, optional
-        Standard deviation of fast relative changes of the width, correlated over 1 h: jitter
-        within an exposure, or the atmosphere.
+        Standard deviation of relative changes of the width, correlated over 1 h.
     background : float, optional
         Background that the file's own subtraction leaves, e-/s per pixel.
     shape : tuple of int, optional
         Rows and columns.
     cosmic_rays : float, optional
-        Share of all values that hold a cosmic ray in a long cadence. Two K2 files of faint stars
-        look as simulated ones with 0.025.
+        Share of all values that hold a cosmic ray in a long cadence; about 0.025 in two K2 files
+        of faint stars.
     cadence : float, optional
         Time from cadence to cadence, days.
     longest, lost : int, optional
@@ -60,8 +58,8 @@ class SkyRegime(Value):
     positions : {"wrong", "none"}, optional
         POS_CORR of the file, as in `make_sky`.
     apart : bool, optional
-        Whether no method can find the truth in the pixels of this star alone, so that only the
-        quoted errors can be right: slow variability under slow motion. Scored apart.
+        Whether the star is scored apart: under slow motion its slow variability cannot be found in
+        its pixels alone, so that only the quoted errors can be right.
 
     Examples
     --------
@@ -367,8 +365,8 @@ def _rise(rng, time, period, amplitude):
     return 1 + amplitude * np.sin(np.pi / 2 * phase) ** 2
 
 
-#: Relative flux of a star without transits, near 1, by the kind of variability. The period is in
-#: days, the amplitude about half the range; of an eclipsing binary, the depth.
+#: Relative flux of a star without transits, near 1, by the kind of variability: functions of time,
+#: period and amplitude as in `SkyRegime`.
 LIGHTS = {
     "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
     "sine": lambda rng, time, period, amplitude: 1 + amplitude * _wave(rng, time, period),

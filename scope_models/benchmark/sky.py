@@ -2,8 +2,7 @@
 
 Neither simulator nor correctors nor fits use this rendering. The PSF is a Fourier series on a
 periodic field, the response of each pixel an oversampled map. The light of a pixel is the sum over
-the modes of the PSF's coefficient, the phase of the star's position, and the transform of the
-pixel's map. Positions enter exactly, without interpolation.
+the modes of the PSF's coefficient, the phase of the star's position, and the transform of the map.
 """
 
 from collections import namedtuple
@@ -48,14 +47,14 @@ _PHOTOMETERS = {"K2": _KEPLER, "Kepler": _KEPLER, "TESS": _TESS}
 class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
-    All cadences are there, those without data too; fluxes are in e-/s.
+    Cadences without data are there too; fluxes are in e-/s.
 
     Attributes
     ----------
     regime : SkyRegime
         What kind of star it is.
     seed, noise_seed : int
-        The seeds; that of the noise is None where `seed` is the seed of the noise too.
+        The seeds, as in `make_sky`.
     positions : str
         Which POS_CORR the file has, as in `make_sky`.
     time, cadenceno, quality : ndarray, shape (n,)
@@ -63,16 +62,15 @@ class MessyStar(Value):
     flux, flux_err : ndarray, shape (n, ny, nx)
         Pixels after the pipeline's subtraction of its background, and their formal errors.
     pos_corr1, pos_corr2 : ndarray, shape (n,)
-        Offsets with the errors of real files.
+        Offsets, pixels.
     x, y, width : ndarray, shape (n,)
-        True positions of the star in the stamp, pixels, NaN where it is off the stamp; and true
-        relative width of the PSF.
+        True positions in the stamp, pixels, NaN where the star is off it; and true relative width
+        of the PSF.
     true_flux, transit : ndarray, shape (n,)
-        True relative flux of the star, variability and transits, averaged over exposures; and the
-        transits alone.
+        True relative flux of the star, averaged over exposures; and the transits alone.
     star_light, neighbor_light, background_light, sky : ndarray, shape (n, ny, nx)
-        The star's own light in each pixel, without noise (and before full pixels spill), the
-        neighbors' light, the background that is left in `flux`, and what the pipeline took off.
+        Light without noise, before full pixels spill: of the star, of its neighbors, the background
+        that is left in `flux`, and what the pipeline took off.
     aperture : ndarray of bool, shape (ny, nx)
         The file's aperture: the pixels whose sum, uncorrected, is expected to scatter least.
     noise : ndarray, shape (n, ny, nx)
@@ -110,12 +108,12 @@ class MessyStar(Value):
     noise: np.ndarray = field(repr=False)
 
     def floor(self):
-        """Return the expected noise of a light curve of only the star, relative, per cadence.
+        """Return the expected relative noise of a cadence of a light curve of only the star.
 
         Returns
         -------
         float
-            Median over cadences of photon, background and read noise over starlight in `aperture`.
+            Median over cadences of `noise` over starlight in `aperture`.
         """
         mask, here = self.aperture, np.isfinite(self.x)
         noise = np.sqrt((self.noise[here][:, mask] ** 2).sum(axis=1))

@@ -9,12 +9,12 @@ import warnings
 
 from scope_models._threads import one_thread
 from scope_models._version import __version__
-from scope_models.cli import _batch, _files, _simulate
+from scope_models.cli import _batch, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as a default.
-_COMMANDS = (_simulate, _files)
+_COMMANDS = (_simulate, _batch)
 _TERMINATED = "by SIGTERM"
 
 

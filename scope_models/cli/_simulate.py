@@ -221,8 +221,7 @@ def _demo(arguments):
     folder.mkdir(parents=True, exist_ok=True)
     for path in paths:
         check_output(path, overwrite=arguments.overwrite)
-    with tqdm(total=3, leave=False, disable=None) as bar:
-        bar.set_description("simulating")
+    with tqdm(desc="simulating", total=3, leave=False, disable=None) as bar:
         motion = 2 * sm.Motion.k2_roll()
         observation = _demo_star(motion, arguments.seed)
         still = _demo_star(motion * 0, arguments.seed)
@@ -238,15 +237,15 @@ def _demo(arguments):
         with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
             axes["image"].figure.savefig(temporary, dpi=110)
         bar.update()
+    print("6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)")
     curves = {"raw": corrector.original_lc, "corrected": corrected}
     curves["at rest"] = still.to_lightcurve(aperture)
+    others = []
     for name, lc in curves.items():
         seen = np.isin(observation.cadenceno, lc.cadenceno)
-        curves[name] = lc / observation.truth.relative_flux[0, seen]
-    print("6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)")
-    for name, lc in curves.items():
-        print(f"{name:12s}{sm.photometry.cdpp(lc):8.1f}")
-    others = [f"{sm.photometry.cdpp(lc, method='everest'):.1f}" for lc in curves.values()]
+        noise = lc / observation.truth.relative_flux[0, seen]
+        print(f"{name:12s}{sm.photometry.cdpp(noise):8.1f}")
+        others.append(f"{sm.photometry.cdpp(noise, method='everest'):.1f}")
     print(f"EVEREST's convention gives {', '.join(others)}", "", "Written:", sep="\n")
     for path in paths:
         print(f"  {path}")
