@@ -57,8 +57,8 @@ def generate_target(
     Raises
     ------
     TypeError, ValueError, ConnectionError
-        If an argument is of the wrong kind or outside its domain, `ncadences` exceeds the length of
-        the motion, or the motion is given twice, or not found, or cannot be downloaded.
+        If an argument is of the wrong kind or outside its domain, or the motion is given twice, too
+        short, or cannot be found or downloaded.
 
     Examples
     --------
@@ -114,10 +114,9 @@ def _forwarded(method):
 class Target:
     """A simulated star, its neighbors and its pixels.
 
-    `generate_target` makes it. What is added changes the expected flux only: the noise of all else
-    stays as it was. All attributes below may be changed: the next look at the pixels simulates what
-    they are then. Methods raise ValueError if an argument is outside its domain, and TypeError if
-    an option is misspelled.
+    `generate_target` makes it. The noise of what was there stays as it was if something is added.
+    Attributes may be changed: the next look at the pixels simulates what they are then. Methods
+    raise ValueError if an argument is outside its domain, and TypeError if an option is misspelled.
 
     Parameters
     ----------
@@ -232,8 +231,7 @@ class Target:
         var_amp : float, optional
             Relative semi-amplitude, between 0 and 1.
         freq : float, optional
-            Angular frequency in radians per day, of the time t after the first cadence: the period
-            is ``2 * pi / freq`` days.
+            Angular frequency in radians per day; t is the time after the first cadence.
 
         {same}
         """
@@ -268,8 +266,8 @@ class Target:
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
         psf, signal : optional
-            Its PSF, by default that of the detector, and its own relative flux, as in `add_signal`:
-            an eclipsing background binary is a deep `~scope_models.TransitModel`.
+            Its PSF, by default the detector's, and relative flux, as in `add_signal`: an eclipsing
+            background binary is a deep `~scope_models.TransitModel`.
 
         {same}
         """
@@ -300,8 +298,7 @@ class Target:
         ----------
         method : {"threshold", "signal-to-noise", "contamination", "circular"}, optional
             Pixels that the noise-free star brightens at any cadence (the paper's); the highest
-            signal-to-noise ratio; the star's pixels that neighbors do not dominate; a circle about
-            the star's reference position.
+            signal-to-noise ratio; pixels that neighbors do not dominate; a circle about the star.
         **options
             Options of the function of `scope_models.photometry`, as ``threshold`` or ``radius``.
 
@@ -405,7 +402,7 @@ class Target:
     def plot_transit(self, number=0, *, window=None, ax=None):
         """Draw the light curve folded on a transit that was added.
 
-        It is the de-trended one after `Target.detrend`. The star's other signals are divided out.
+        After `Target.detrend` it is de-trended. The star's other signals are divided out.
 
         Parameters
         ----------

@@ -16,8 +16,8 @@ from astropy.table import Table
 from scope_models._arrays import LARGEST_DAY, values_of, without_unit
 from scope_models._checks import checked_number, one_line
 from scope_models._docstrings import documented
-from scope_models.batch.results import UNITS
-from scope_models.batch.sweep import FILE, run_sweep, star_seed
+from scope_models.batch.results import FILE, UNITS
+from scope_models.batch.sweep import run_sweep, star_seed
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output, identity

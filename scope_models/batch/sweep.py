@@ -1,18 +1,19 @@
-"""Computes a function of many stars, here or on a cluster, and keeps finished ones.
+"""Computes a function of many stars, here or on a cluster, and keeps finished ones."""
 
-The stars of a sweep are in one SQLite file, which one run at a time writes.
-"""
-
-import errno
 import hashlib
+import itertools
 import json
-import sqlite3
-import time
+import logging
+import re
+import signal
+import traceback
 import warnings
-import zlib
-from concurrent.futures import BrokenExecutor
-from contextlib import closing, contextmanager
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass, is_dataclass
+from functools import partial
+from multiprocessing import resource_tracker
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
@@ -24,22 +25,17 @@ from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models._version import __version__
-from scope_models.batch._workers import check_client, checked_tasks, computed, listed
-from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
+from scope_models.batch.results import Store, listed
+from scope_models.exceptions import FailedStarsWarning
 from scope_models.io._atomic import atomic_path, remove_temporaries
-from scope_models.io._light_curves import sha256
 
 __all__ = ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"]
 
-#: Name of the file in a results directory.
-FILE = "results.sqlite"
-_OUTPUTS = ("results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png")
-_SYNC_INTERVAL = 5.0  # seconds of work that a power failure may cost
-_LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
-_SCHEMA = """
-    CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
-    CREATE TABLE IF NOT EXISTS stars (key TEXT PRIMARY KEY, record TEXT NOT NULL, crc INTEGER);
-"""
+_DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
+_FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
+_POLL = 5.0  # seconds between two checks of the connection to a scheduler
+_ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
+_WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
 
 
 class SweepError(RuntimeError):
@@ -225,13 +221,13 @@ def run_sweep(
     """
     chunk_size = checked_integer("chunk_size", chunk_size, 1)
     in_flight = checked_integer("in_flight", in_flight, 1)
-    check_client(client)
+    _check_client(client)
     if not callable(measure):
         raise TypeError(f"`measure` must be a function of a task, got {measure!r}")
     directory = None if directory is None else Path(directory).absolute()
     fields = asdict(config) if is_dataclass(config) else dict(config or {})
     meta = {"creator": f"scope_models {__version__}", "study": name, **plain_tree(fields)}
-    tasks = checked_tasks(tasks)
+    tasks = _checked_tasks(tasks)
     outputs = {task["key"]: Path(output(task)) for task in tasks if output is not None}
     with closing(Store(directory, meta, inputs, tasks)) as store:
         for folder in {directory, *(path.parent for path in outputs.values())} - {None}:
@@ -246,7 +242,7 @@ def run_sweep(
         if missing:
             bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=name,
                        unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
-            records = computed(client, measure, missing, chunk_size, in_flight)
+            records = _computed(client, measure, missing, chunk_size, in_flight)
             with one_thread, bar, closing(records):
                 _keep(records, store, bar)
         records = [store.read(task["key"]) for task in tasks if task["key"] in store.failed]
@@ -323,161 +319,201 @@ def _write(table, path):
     return path
 
 
-class Store:
-    """The records of a sweep, in a results directory or in memory: "task" and "row" or "error".
-
-    Stars that were tried are in ``failed``, true without a result. The exclusive lock on the file
-    ends with the process, however it ends.
-    """
-
-    def __init__(self, directory, config, inputs, tasks):
-        self.directory = directory
-        self._path = Path(":memory:") if directory is None else _file_in(directory)
-        self.failed, self._synced = {}, time.monotonic()
-        with self._clear_errors():
-            self._connection = sqlite3.connect(self._path, timeout=0, isolation_level=None)
-            self._connection.text_factory = bytes  # damaged text may not be UTF-8
+def _measured(measure, tasks):
+    """Return the record of each task: its row, or its failure."""
+    records = []
+    with one_thread:
+        for task in tasks:
             try:
-                self._begin(config, inputs)
-                self._load({task["key"]: task for task in tasks})
-            except BaseException:
-                self.close()
-                raise
-
-    def _begin(self, config, inputs):
-        """Lock the file, and check that it belongs to the same configuration and inputs."""
-        made = config | {f"contents of {path}": sha256(path) for path in inputs}
-        execute = self._connection.execute
-        # An exclusive lock needs no shared memory, so that network file systems serve too.
-        execute("PRAGMA locking_mode = EXCLUSIVE")
-        execute("PRAGMA journal_mode = WAL")
-        execute("PRAGMA synchronous = NORMAL")
-        self._connection.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
-        found = execute("SELECT value FROM config").fetchone()
-        if found is None:
-            execute("INSERT INTO config VALUES (?)", (json.dumps(made),))
-            return
-        try:
-            there = dict(json.loads(found[0]))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{self._path} is damaged: choose another directory") from error
-        here = json.loads(json.dumps(made))
-        absent = object()
-        differ = [
-            f"`{name}` ({_shown(name, there)} there, {_shown(name, here)} here)"
-            for name in here | there
-            if here.get(name, absent) != there.get(name, absent)
-        ]
-        if differ:
-            raise ValueError(
-                f"{self.directory} was made with another configuration, which differs in "
-                f"{', '.join(differ)}; choose another directory"
-            )
-
-    def _load(self, tasks):
-        """Read which stars earlier runs have finished."""
-        damaged = []
-        for key, record in _records(self._connection):
-            if record is None:
-                damaged.append(repr(key)[1:])
-            elif record["task"] == tasks.get(name := record["task"]["key"]):
-                self.failed[name] = "error" in record
-        if damaged:
-            results = f"{self._path}: damaged results ({listed(damaged)})"
-            message = f"{results} are left out and computed again"
-            warnings.warn(message, DamagedResultWarning, stacklevel=5)
-
-    def __len__(self):
-        """Return how many stars have results."""
-        return sum(not failed for failed in self.failed.values())
-
-    def read(self, key):
-        rows = self._connection.execute("SELECT record FROM stars WHERE key = ?", (key,))
-        return json.loads(rows.fetchone()[0])
-
-    def add(self, record):
-        """Keep a record in a transaction of its own; a failure does not replace a result."""
-        key, failed = record["task"]["key"], "error" in record
-        if failed and self.failed.get(key) is False:
-            return
-        text = json.dumps(record)
-        row = key, text, zlib.crc32(text.encode(), zlib.crc32(key.encode()))
-        with self._clear_errors():
-            self._connection.execute("INSERT OR REPLACE INTO stars VALUES (?, ?, ?)", row)
-            if time.monotonic() - self._synced > _SYNC_INTERVAL:
-                self._connection.execute("PRAGMA wal_checkpoint")
-                self._synced = time.monotonic()
-        self.failed[key] = failed
-
-    def close(self):
-        self._connection.close()
-
-    @contextmanager
-    def _clear_errors(self):
-        """Raise errors of SQLite as errors about the file."""
-        try:
-            yield
-        except sqlite3.DatabaseError as error:
-            code = _code_of(error)
-            if code in _LOCKED:
-                raise OSError(
-                    f"another run is writing to {self.directory}: wait until it has ended, or "
-                    "choose another directory"
-                ) from None
-            if code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}:
-                raise ValueError(f"{self._path} is damaged: choose another directory") from error
-            failure = OSError(  # its text would begin with a number given here
-                f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
-                f"and the same call resumes there: the reason is: {error}"
-            )
-            failure.errno = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
-            raise failure from error
+                row = _checked_values(measure(task), "result", task)
+                records.append({"task": task, "row": row})
+            except Exception as error:  # noqa: BLE001 - the other stars go on
+                records.append(_failure(task, error))
+    return records
 
 
-def read_records(directory):
-    """Return all records of a results directory, also of a run that was interrupted."""
-    path = Path(directory) / FILE
-    if not path.is_file():
-        raise FileNotFoundError(f"{directory} is not a results directory: it has no {FILE}")
+def _failure(task, error):
+    """Return the record of a star that failed."""
     try:
-        with closing(sqlite3.connect(path, timeout=0)) as connection:
-            connection.text_factory = bytes
-            return [record for _, record in _records(connection) if record is not None]
-    except sqlite3.DatabaseError as error:
-        if _code_of(error) in _LOCKED:
-            raise OSError(f"a run is writing to {directory}: wait until it has ended") from None
-        raise ValueError(f"{path} is damaged") from error
+        reason, trace = f"{type(error).__name__}: {error}", traceback.format_exception(error)
+    except Exception:  # noqa: BLE001 - an exception that cannot be printed
+        reason = trace = type(error).__name__
+    return {"task": task, "error": _cut(reason, 1000), "traceback": _cut("".join(trace), 4000)}
 
 
-def _records(connection):
-    """Yield the key and the record of each star, None if it is damaged."""
-    for key, text, crc in connection.execute("SELECT key, record, crc FROM stars"):
-        yield key, json.loads(text) if crc == zlib.crc32(text, zlib.crc32(key)) else None
+def _cut(text, size):
+    """Return a text without the middle of a long one."""
+    cut = f"{text[: size // 2]} [...] {text[-size // 2 :]}" if len(text) > size else text
+    return cut.encode("utf-8", "backslashreplace").decode()
 
 
-def _file_in(directory):
-    """Return the file of a results directory, which is made if it is not there."""
+def _checked_tasks(tasks):
+    """Return tasks with plain values and unique keys that can be names of files."""
+    tasks = [_checked_values(task, "task") for task in tasks]
+    if not tasks:
+        raise ValueError("`tasks` must hold at least one star")
+    keys = set()
+    for task in tasks:
+        key = task.get("key")
+        plain = isinstance(key, str) and _FREE_NAME.fullmatch(key)
+        if not plain or _WINDOWS.fullmatch(key):
+            wanted = "a short, plain name that can be a file's"
+            raise ValueError(f"the key of a task must be {wanted}, got {key!r}")
+        if key in keys:
+            raise ValueError(f"the keys of the tasks must differ, got {key!r} twice")
+        keys.add(key)
+    return tasks
+
+
+def _checked_values(values, kind, task=()):
+    """Return a dictionary of numbers and strings with Python's own types."""
+    if taken := [name for name in sorted(values) if name in task]:
+        raise ValueError(f"a result must not be named as a value of its task: {taken}")
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
+    for name, value in plain.items():
+        if not isinstance(value, (bool, int, float, str)):
+            raise TypeError(f"`{name}` of a {kind} must be a number or a string, got {value!r}")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise ValueError(f"`{name}` of a {kind} must be an integer of at most 64 bits")
+        if isinstance(value, str):
+            value.encode()  # raises UnicodeEncodeError, a ValueError, for lone surrogates
+    return plain
+
+
+def _check_client(client):
+    if isinstance(client, Integral) and not isinstance(client, bool):
+        checked_integer("client", client, 1)
+    elif isinstance(client, str):
+        if not _ADDRESS.fullmatch(client):
+            raise ValueError(f"`client` must be an address such as tls://host:8786, got {client!r}")
+    elif client is not None and not callable(getattr(client, "submit", None)):
+        wanted = "a client of Dask, an address, a number of processes, an executor or None"
+        raise TypeError(f"`client` must be {wanted}, got {client!r}")
+
+
+def _computed(client, measure, tasks, chunk_size, in_flight):
+    """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
+
+    Stars whose process died are computed again one at a time: only the one that kills it fails.
+    A BrokenExecutor is raised if the workers, or their scheduler, are lost.
+    """
+    job = partial(_measured, measure)
+    if client is None:
+        for task in tasks:
+            yield from job([task])
+        return
+    with ExitStack() as stack:
+        if isinstance(client, Integral):
+            in_flight = 2 * client
+        if isinstance(client, (Integral, str)):
+            client = stack.enter_context(_dask_client(client))
+        suspects = []
+        chunks = [tasks[i : i + chunk_size] for i in range(0, len(tasks), chunk_size)]
+        for chunk, outcome in _completed(client, job, chunks, in_flight):
+            if type(outcome).__name__ == "KilledWorker":
+                suspects += chunk
+            else:
+                yield from _records(chunk, outcome)
+        for chunk, outcome in _completed(client, job, [[task] for task in suspects], 1):
+            yield from _records(chunk, outcome)
+
+
+def _records(chunk, outcome):
+    """Return the records of a chunk from what its worker returned or raised."""
+    if type(outcome).__name__ == "KilledWorker":
+        return [{"task": task, "error": _DIED, "traceback": _DIED} for task in chunk]
+    if isinstance(outcome, Exception):
+        return [_failure(task, outcome) for task in chunk]
+    return outcome
+
+
+def _completed(client, job, chunks, in_flight):
+    """Submit chunks, a bounded number at a time; yield each with its result or exception."""
+    is_dask = hasattr(client, "get_executor")
+    executor = client.get_executor(pure=False) if is_dask else client
+    chunks, waiting, lost = iter(chunks), {}, []
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise NotADirectoryError(f"cannot write to {directory}: it is a file") from None
-    except OSError as error:
-        message = f"cannot make the folder {directory}: {error.strerror or error}"
-        raise type(error)(message) from error
-    path = directory / FILE
-    for name in () if path.exists() else _OUTPUTS:
-        if (directory / name).exists():
-            raise ValueError(
-                f"{directory} is not empty, and not a results directory either: it has "
-                f"{name}, but no {FILE}; choose another directory"
-            )
-    return path
+        while True:
+            while not lost and len(waiting) < in_flight and (chunk := next(chunks, None)):
+                try:
+                    waiting[executor.submit(job, chunk)] = chunk
+                except RuntimeError:  # broken or closed
+                    lost += chunk
+            if not waiting:
+                break
+            done = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED).done
+            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
+            if not done and is_dask and client.status != "running":
+                lost += itertools.chain.from_iterable(waiting.values())
+                break
+            for future in done:
+                chunk = waiting.pop(future)
+                if future.cancelled() or isinstance(future.exception(), BrokenExecutor):
+                    lost += chunk
+                else:
+                    yield chunk, future.exception() or future.result()
+    finally:
+        for future in waiting:
+            future.cancel()
+    if lost:
+        keys = listed(sorted(task["key"] for task in lost))
+        raise BrokenExecutor(f"the workers are lost, with {len(lost)} stars in flight ({keys})")
 
 
-def _code_of(error):
-    return getattr(error, "sqlite_errorcode", 0) & 0xFF
+@contextmanager
+def _dask_client(where):
+    """Return a client of Dask, of workers on this machine or of a scheduler that runs already."""
+    try:
+        import cryptography  # noqa: F401 - of temporary keys
+        import dask
+        from distributed import Client, LocalCluster
+        from distributed.security import Security
+    except ImportError as error:
+        command = 'python -m pip install "scope_models[distributed]"'
+        raise ModuleNotFoundError(f"workers need Dask: {command}") from error
+    if isinstance(where, str):
+        with Client(where) as client:
+            yield client
+        return
+    with (
+        # A worker that dies gives its stars back at once.
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        _later_interrupts() as allow_interrupts,
+        ExitStack() as stack,
+    ):
+        try:
+            # No port is open to other machines, nor to other users of this one.
+            cluster = LocalCluster(
+                n_workers=where, threads_per_worker=1, host="127.0.0.1",
+                dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=logging.CRITICAL,
+                security=Security.temporary(),
+            )  # fmt: skip
+        except RuntimeError as error:
+            raise BrokenExecutor(
+                "worker processes die at their start; see their message; a script must start its "
+                'work under `if __name__ == "__main__":`'
+            ) from error
+        client = stack.enter_context(Client(stack.enter_context(cluster)))
+        client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
+        allow_interrupts()
+        yield client
 
 
-def _shown(name, values):
-    text = json.dumps(values[name]) if name in values else "absent"
-    return text if len(text) <= 60 else f"{text[:57]}..."
+@contextmanager
+def _later_interrupts():
+    """Block interrupts, whose tracebacks workers would print, until the function is called."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield lambda: None
+        return
+    resource_tracker.ensure_running()  # its start, with the first process, would allow them again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield partial(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker(filters):
+    """Leave interrupts to the parent, and share its warning filters."""
+    warnings.filters[:] = filters
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -24,7 +24,7 @@ __all__ = ["MessyStar", "make_sky"]
 
 _LONG = K2Roll.cadence  # days
 _POSITIONS = ("wrong", "exact", "none")
-# Errors of POS_CORR in real files: of the scale; slow, over days, and of each cadence, pixels.
+# Errors of POS_CORR in real files: of the scale; over days and of each cadence, pixels.
 _SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
 _ARGABRIGHTENING = 4096  # on the CCD
 _SAMPLES = 9  # of the light of an exposure: a jump within it is right to 1/18
@@ -132,22 +132,21 @@ class MessyStar(Value):
         lightkurve.KeplerTargetPixelFile or lightkurve.TessTargetPixelFile
             The file, without truth.
         """
-        from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
+        import lightkurve
 
-        cadence = self.regime.cadence
-        frames = {"TESS": (1.98, 0.02, 900)}.get(self.regime.mission, (6.0198, 0.5189, 270))
+        mission, cadence = self.regime.mission, self.regime.cadence
+        frames = (1.98, 0.02, 900) if mission == "TESS" else (6.0198, 0.5189, 270)
         metadata = TPFMetadata(
-            mission=self.regime.mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
-            int_time=frames[0], read_time=frames[1], time_delta=cadence,
-            n_frames=round(frames[2] * cadence / _LONG),
+            mission=mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
+            int_time=frames[0], read_time=frames[1], n_frames=round(frames[2] * cadence / _LONG),
+            time_delta=cadence,
         )  # fmt: skip
+        columns = "time", "cadenceno", "flux", "flux_err", "quality", "pos_corr1", "pos_corr2"
         hdulist = make_tpf_hdulist(
-            metadata=metadata, time=self.time, cadenceno=self.cadenceno, flux=self.flux,
-            flux_err=self.flux_err, flux_bkg=self.sky, flux_bkg_err=0.01 * self.sky,
-            quality=self.quality, pos_corr1=self.pos_corr1, pos_corr2=self.pos_corr2,
-            aperture=self.aperture,
+            metadata=metadata, flux_bkg=self.sky, flux_bkg_err=0.01 * self.sky,
+            aperture=self.aperture, **{name: getattr(self, name) for name in columns},
         )  # fmt: skip
-        kind = TessTargetPixelFile if self.regime.mission == "TESS" else KeplerTargetPixelFile
+        kind = getattr(lightkurve, MISSIONS[mission].tpf_class)
         return kind(hdulist, quality_bitmask=quality_bitmask)
 
 

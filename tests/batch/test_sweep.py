@@ -24,7 +24,7 @@ from sweep_studies import Numbers, blas_threads
 
 from scope_models.batch import SweepError, run_sweep, star_rng, star_seed
 from scope_models.batch import sweep as sweep_module
-from scope_models.batch.sweep import FILE, Store
+from scope_models.batch.results import FILE, Store
 from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
 from scope_models.io._atomic import atomic_path
 
@@ -697,7 +697,7 @@ class TestDirectory:
         def refused(*_, **__):
             raise sqlite3.OperationalError("unable to open database file")
 
-        monkeypatch.setattr(sweep_module.sqlite3, "connect", refused)
+        monkeypatch.setattr(sqlite3, "connect", refused)
         with pytest.raises(OSError, match=r"cannot write to .*sqlite; .* unable to open database"):
             sweep(Numbers(), None, tmp_path / "run")
 
