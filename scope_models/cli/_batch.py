@@ -44,7 +44,7 @@ def add_parser(commands):
 def _add_file_command(commands, one, output, example, text):
     """Return the parser of a command, a function that adds an option, and one for other options.
 
-    ``one`` treats a file, ``NAME_files`` of `scope_models.batch` many, with options by ``dest``.
+    The options are those of ``one``, for a file, and ``NAME_files`` of `scope_models.batch`.
     """
     parser, add_any = add_command(commands, one, example, text)
     text = "target pixel files, or EPIC, KIC or TIC numbers such as 'EPIC 211956421', whose files "
@@ -287,9 +287,9 @@ def _score(arguments):
 
 def add_command(commands, run, example, text):
     """Return the parser of a command, which `run` describes, and a function that adds an option."""
-    name, description = example.split()[0], " ".join((run.__doc__ or "").split())
-    texts = {"help": text, "description": description, "epilog": f"example: scope-models {example}"}
-    parser = commands.add_parser(name, **texts)
+    epilog = f"example: scope-models {example}"
+    name = example.split()[0]
+    parser = commands.add_parser(name, help=text, description=run.__doc__, epilog=epilog)
     parser.set_defaults(run=run, parser=parser)
     return parser, adder(parser)
 
@@ -371,7 +371,7 @@ def with_config(argv):
     inputs, added = [], []
     for name, value in values.items():
         listed = value if isinstance(value, list) else [value]
-        if not all(isinstance(item, (bool, int, float, str)) for item in listed):
+        if not all(isinstance(item, (int, float, str)) for item in listed):
             raise ValueError(f"{path}: `{name}` must be a number, text, true, false or a list")
         option = f"--{name.replace('_', '-')}"
         if name == "input":
