@@ -27,15 +27,15 @@ def generate_target(
     Parameters
     ----------
     mag, roll : float, optional
-        Magnitude in the mission's band (Kp), and factor on the motion; 1 is K2's, 0 stands still.
+        Magnitude in the mission's band, and factor on the motion, 0 for rest.
     coords : tuple of float, optional
         Reference position (column, row) in pixels from 0; by default the center of the stamp.
     background_level, neighbor_magdiff : float, optional
-        Background in e-/s per pixel, by default that of the detector; and magnitude of the neighbor
-        minus `mag`, for ``neighbor=True``.
+        Background in e-/s per pixel, by default the detector's; and magnitude of a neighbor minus
+        `mag`.
     ncadences, apsize, ID : int, optional
         Number of cadences, by default 1000, or all of a shorter motion; rows and columns of the
-        stamp, not used with a `detector`; EPIC number of a K2 target whose motion is downloaded.
+        stamp without a `detector`; EPIC number of a K2 target whose motion is downloaded.
     transit, variable, neighbor : bool, optional
         Add a transit, variability or a neighbor with the defaults of the methods of `Target`.
     tpf_path : str or path-like, optional
@@ -45,7 +45,7 @@ def generate_target(
     signal, noise, seed : optional
         See `Target.add_signal` and `Target`.
     motion : `~scope_models.Motion`, optional
-        The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
+        The motion; without it, `ID` and `tpf_path` it is `scope_models.Motion.k2_roll`.
     psf, detector : `~astropy.modeling.Model`, `~scope_models.Detector`, optional
         PSF of the star, by default the detector's, and detector, by default ``Detector.k2()``.
 
@@ -114,9 +114,9 @@ def _forwarded(method):
 class Target:
     """A simulated star, its neighbors and its pixels.
 
-    `generate_target` makes it. The noise of what was there stays as it was if something is added.
-    Attributes may be changed: the next look at the pixels simulates what they are then. Methods
-    raise ValueError if an argument is outside its domain, and TypeError if an option is misspelled.
+    `generate_target` makes it. Additions leave the noise of all else as it was. Attributes may be
+    changed: the next look at the pixels simulates them anew. Methods raise ValueError if an
+    argument is outside its domain, and TypeError if an option is misspelled.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Target:
     Attributes
     ----------
     neighbors, transits : list of `~scope_models.Star`, list of `~scope_models.TransitModel`
-        Its neighbors, and the transits that were added. The parameters are attributes, too.
+        What was added. The parameters are attributes, too.
 
     Examples
     --------
@@ -261,8 +261,8 @@ class Target:
         Parameters
         ----------
         magdiff, dist, angle : float, optional
-            Its magnitude minus that of the star; distance from it in pixels; and direction in
-            degrees from growing columns to growing rows, by default random and on the stamp.
+            Its magnitude minus the star's; distance from it in pixels; and direction in degrees
+            from growing columns to growing rows, by default random and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
         psf, signal : optional
@@ -342,7 +342,7 @@ class Target:
     def detrend(self, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.
 
-        The fit leaves out the transits that were added; `plot` draws the result too.
+        The fit leaves out the transits; `plot` draws the result.
 
         Parameters
         ----------

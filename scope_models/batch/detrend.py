@@ -1,4 +1,4 @@
-"""Corrects many files, with positions of other stars of a CCD where those of a file are wrong."""
+"""Corrects many files, with positions of other stars of the CCD where those of a file are wrong."""
 
 import hashlib
 import warnings
@@ -37,10 +37,10 @@ from scope_models.scene import Motion
 
 __all__ = ["detrend_files"]
 
-_MOST = 12  # files of a CCD whose POS_CORR give the motion of its other stars: a limit of time
+_MOST = 12  # files of a CCD whose POS_CORR give its motion: a limit of time
 _MAJORITY = 3  # stars at least that outvote another one
-_FOLDER = "positions"  # of the motions
-# All cards would take longer, for all files of a run before the first is corrected.
+_FOLDER = "positions"
+# All cards would take longer, before the first file of a run is corrected.
 _KEYWORDS = (
     "MISSION", "TELESCOP", "OBJECT", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD",
     "TIMEDEL",
@@ -84,16 +84,16 @@ def detrend_files(
     Returns
     -------
     SweepResult
-        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as ``cdpp``
-        and EVEREST's as ``cdpp_everest``), the header's crowding, transit survival if wanted, and
-        warnings; medians by magnitude; failures; and the files.
+        A row per file with its noise in ppm (6.5-h CDPP, lightkurve's as ``cdpp`` and EVEREST's as
+        ``cdpp_everest``, before the correction with ``raw_``), the header's crowding, transit
+        survival if wanted, and warnings; and medians by magnitude.
 
     Raises
     ------
     ValueError
         If a file is given twice, two have the same name, or one would be replaced.
     OSError, SweepError
-        As `run_sweep`; SweepError if all files fail.
+        As `run_sweep`.
 
     Warns
     -----
@@ -107,8 +107,6 @@ def detrend_files(
     >>> paths = [
     ...     generate_target(mag, ncadences=300, seed=1).write(f"kp{mag}.fits") for mag in (11, 12)]
     >>> result = detrend_files(paths, "corrected", order=1, sweep={"progress": False})
-    >>> [path.name for path in sorted(result.files[0].parent.glob("*.fits"))]
-    ['kp11-lc.fits', 'kp12-lc.fits']
     >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
     True
     """
@@ -213,10 +211,7 @@ def _write_manifest(table, folder):
 
 
 def _write_motions(files, folder, positions_from=None):
-    """Write the common motion of each CCD; return what the task of each file has of it.
-
-    By default it is that of POS_CORR, for files whose own is missing or disagrees.
-    """
+    """Write the common motion of each CCD; return what the task of each file has of it."""
     given, groups, written = positions_from is not None, defaultdict(list), {}
     sources = positions_from if given else files
     places = {file: _place(file) for file in dict.fromkeys((*files, *sources))}
@@ -232,24 +227,21 @@ def _write_motions(files, folder, positions_from=None):
         name, sources = "-".join(filter(None, place)) or "motion", groups[place]
         if not given:
             sources = sources[:: -(-len(sources) // _MOST)]
-        path = not given and _unchanged(folder, name)
-        if path or (path := _write_motion(folder, name, sources, given=given)):
+        if path := _write_motion(folder, name, sources, given=given):
             written[place] = f"{_FOLDER}/{path.name}"
     return [{"positions": written.get(places[file], "")} if written else {} for file in files]
 
 
-def _unchanged(folder, name):
-    """Return the motion of files of a run that have not changed since, or None."""
-    for path in folder.glob(f"{name}-????????.fits"):
+def _write_motion(folder, name, files, *, given):
+    """Write the common motion of a CCD; return its file, named by the contents of all, or None.
+
+    Without given files it is that of an earlier call if the files of the run have not changed.
+    """
+    for path in () if given else folder.glob(f"{name}-????????.fits"):
         meta = Motion.read(path).meta
         states = [(file_state(file), state) for file, state in meta["sources"].items()]
         if not meta["given"] and all(now == then or now["bytes"] < 0 for now, then in states):
             return path
-    return None
-
-
-def _write_motion(folder, name, files, *, given):
-    """Write the common motion of a CCD; return its file, named by the contents of all, or None."""
     contents = sorted((Path(file).name, sha256(file)) for file in files)
     path = folder / f"{name}-{hashlib.sha256(repr(contents).encode()).hexdigest()[:8]}.fits"
     if path.exists():

@@ -19,10 +19,9 @@ from scope_models._docstrings import documented
 from scope_models.batch.results import FILE, UNITS
 from scope_models.batch.sweep import run_sweep, star_seed
 from scope_models.fitting import FitOptions, fit_tpf
-from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output, identity
 from scope_models.io._opening import naming
-from scope_models.io.pixels import read_neighbors
+from scope_models.io.pixels import read_neighbors, read_pixels, read_tpf
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial, TransitModel
@@ -105,9 +104,9 @@ def inject_files(
         Target pixel files, or names of targets.
     planets : astropy.table.Table or mapping
         Columns period and depth, and if wanted t0 and duration (days; depth relative): one row
-        for all files, or one for each. ``t0`` is a mid-transit as in the file, by default half a
-        period after its first cadence; the default duration is that of a central transit of a star
-        like the Sun.
+        for all files, or one for each. ``t0``, a mid-transit as in the file, is by default half a
+        period after its first cadence, the duration that of a central transit of a star like the
+        Sun.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME-injected.fits``.
     {run}
@@ -265,12 +264,12 @@ def simulate_table(
         A row per star: ``mag``, and if wanted ``name``, ``x_0`` and ``y_0`` (pixels), and the
         columns of a planet, as in `inject_files`.
     output_dir : str or path-like
-        Folder for the results and the files, ``NAME.fits``, by default ``star0001.fits`` and so on.
+        Folder for the results and the files, ``NAME.fits`` or ``star0001.fits`` and so on.
     {run}
     detector : str, optional
         Name of a preset, or a TOML file of `~scope_models.read_detector`.
     motion : str, optional
-        A file whose POS_CORR columns the stars follow. By default a generated K2 roll for K2, the
+        A file whose POS_CORR columns the stars follow. The default is a generated roll for K2, the
         tracking of a telescope for the ground, and rest for others.
     cadences : int, optional
         Cadences of each star; those of the file, if it has fewer.
@@ -361,7 +360,7 @@ def find_files(paths):
 
 
 def _downloaded(name):
-    """Return the path of the first target pixel file of the longest cadence of its pipeline."""
+    """Return the path of the file of a name, as `find_files` describes it."""
     if not _NAME.fullmatch(name):
         raise FileNotFoundError(f"{name}: no such file, and not an EPIC, KIC or TIC number")
     import lightkurve
@@ -389,7 +388,7 @@ def named_detector(name, argument="`detector`"):
 
 
 def default_motion(detector, n):
-    """Return the motion without a file: K2 rolls, telescopes on the ground track, others rest."""
+    """Return the motion that `simulate_table` has by default."""
     cadence = detector.cadence_days
     if detector.mission == "K2":
         return Motion.k2_roll(n)
@@ -448,12 +447,12 @@ def run_files(
 ):  # fmt: skip
     """Run a function that writes a file over many files or names, after checks of the outputs.
 
-    ``work(task, output, seed, **options)`` returns a row. The tasks hold ``rows`` and, where they
-    are files, the names; ``inputs`` are files on which all results depend. By default outputs
-    are the keys with the suffix, else what ``name_output(file, key)`` returns.
+    ``work(task, output, seed, **options)`` returns a row. The tasks hold ``rows`` and, if
+    ``are_files``, the names. Outputs are the keys with the suffix, or those of
+    ``name_output(file, key)``.
     """
     for option, value in options.items():
-        if not isinstance(value, (bool, int, float, str, type(None))):
+        if not isinstance(value, (int, float, str, type(None))):
             raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
     folder, tasks, written = Path(folder).absolute(), [], {}
     for file, row in zip(names, rows or [{}] * len(names), strict=True):
@@ -496,7 +495,7 @@ def _worked(work, options, folder, seed, task):
 
 
 def _peak_memory():
-    """Return the most memory that this process has used so far, MiB; NaN on Windows."""
+    """Return the peak memory of this process, MiB; NaN on Windows."""
     try:
         import resource
     except ImportError:

@@ -1,8 +1,7 @@
 """Results of sweeps: their store, a table, light curves as a data set, and a page.
 
-The store is one SQLite file, which one run at a time writes. The data set has a row per star, a
-Parquet file of its own in its partition, so that many workers write at once and whatever is
-finished can be read.
+The store is one SQLite file, which one run at a time writes. The data set has a Parquet file per
+star, so that many workers write at once and whatever is finished can be read.
 """
 
 import base64
@@ -34,25 +33,24 @@ from scope_models.missions import MISSIONS
 
 __all__ = ["read_results", "write_report"]
 
-#: Name of the file in a results directory.
-FILE = "results.sqlite"
+#: Names of the store and of the data set in a results directory.
+FILE, DATA_SET = "results.sqlite", "light_curves"
 _OUTPUTS = ("results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png")
 _SYNC_INTERVAL = 5.0  # seconds of work that a power failure may cost
 _LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
-_SCHEMA = """
+# An exclusive lock needs no shared memory, so that network file systems serve too.
+_BEGIN = """
+    PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;
+    BEGIN IMMEDIATE;
     CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
     CREATE TABLE IF NOT EXISTS stars (key TEXT PRIMARY KEY, record TEXT NOT NULL, crc INTEGER);
+    COMMIT;
 """
-#: Name of the data set in a results directory.
-DATA_SET = "light_curves"
-#: Units of the columns of light curves.
-_FLUXES = "flux", "flux_err", "raw_flux", "raw_flux_err", "bkg_flux"
-_UNITS = {"time": "d"} | dict.fromkeys(_FLUXES, "electron / s")
-#: Units of all columns of results.
+#: Units of all columns of results and of light curves.
 UNITS = {
-    "mag": "mag", "ra": "deg", "dec": "deg", "flux": "electron / s",
-    "seconds": "s", "peak_memory": "Mibyte",
-    **dict.fromkeys(("period", "t0", "duration"), "d"),
+    "mag": "mag", "ra": "deg", "dec": "deg", "seconds": "s", "peak_memory": "Mibyte",
+    **dict.fromkeys(("time", "period", "t0", "duration"), "d"),
+    **dict.fromkeys(("flux", "flux_err", "raw_flux", "raw_flux_err", "bkg_flux"), "electron / s"),
     **dict.fromkeys(("raw_cdpp", "cdpp", "raw_cdpp_everest", "cdpp_everest", "held_out"), "ppm"),
 }  # fmt: skip
 #: Medians by magnitude, ppm, of the stars in `_SOURCES`.
@@ -72,7 +70,7 @@ _CONVENTION = (
     "Noise is the 6.5-h CDPP in EVEREST's convention: median of the scatter in windows of 13 "
     "cadences over the root of 13, after a Savitzky-Golay trend of 49 cadences."
 )
-_OUTLIERS = 8  # as many as one looks at; the table of results has all
+_OUTLIERS = 8  # as many as one looks at
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
@@ -110,15 +108,10 @@ class Store:
     def _begin(self, config, inputs):
         """Lock the file, and check that it belongs to the same configuration and inputs."""
         made = config | {f"contents of {path}": sha256(path) for path in inputs}
-        execute = self._connection.execute
-        # An exclusive lock needs no shared memory, so that network file systems serve too.
-        execute("PRAGMA locking_mode = EXCLUSIVE")
-        execute("PRAGMA journal_mode = WAL")
-        execute("PRAGMA synchronous = NORMAL")
-        self._connection.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
-        found = execute("SELECT value FROM config").fetchone()
+        self._connection.executescript(_BEGIN)
+        found = self._connection.execute("SELECT value FROM config").fetchone()
         if found is None:
-            execute("INSERT INTO config VALUES (?)", (json.dumps(made),))
+            self._connection.execute("INSERT INTO config VALUES (?)", (json.dumps(made),))
             return
         try:
             there = dict(json.loads(found[0]))
@@ -265,7 +258,7 @@ def read_results(folder, *, light_curves=False):
     Returns
     -------
     astropy.table.QTable
-        A row per star that did not fail, with units.
+        A row per star that did not fail.
 
     Raises
     ------
@@ -279,11 +272,9 @@ def read_results(folder, *, light_curves=False):
     Examples
     --------
     >>> from scope_models.batch import read_results, simulate_table
-    >>> stars = {"name": ["a", "b"], "mag": [11.0, 12.0]}
-    >>> result = simulate_table(stars, "many", cadences=50, sweep={"progress": False})
-    >>> table = read_results("many")
-    >>> table["key"].tolist(), table["mag"].unit
-    (['a', 'b'], Unit("mag"))
+    >>> result = simulate_table({"mag": [11.0]}, "many", cadences=50, sweep={"progress": False})
+    >>> read_results("many")["mag"]
+    <Quantity [11.] mag>
     """
     folder = Path(folder)
     if (folder / DATA_SET).is_dir() and not (folder / FILE).exists():
@@ -315,7 +306,7 @@ def read_light_curve(path):
     else:
         with fits.open(path) as hdus:
             arrays = {name.lower(): np.array(hdus[1].data[name]) for name in hdus[1].data.names}
-    return QTable(arrays, units={k: unit for k, unit in _UNITS.items() if k in arrays})
+    return QTable(arrays, units={name: UNITS[name] for name in UNITS.keys() & arrays.keys()})
 
 
 def _pyarrow():
@@ -364,9 +355,8 @@ def write_report(folder, output=None):
     Returns
     -------
     pathlib.Path
-        The page: HTML that holds its figures. Runs of `detrend_files` have the noise against the
-        magnitude, beside published medians for K2, and the noisiest stars for their magnitude, with
-        pixels (if the file is still there), light curve and positions.
+        The page: HTML that holds its figures, for runs of `detrend_files` the noise against the
+        magnitude, beside published medians for K2, and the noisiest stars for their magnitude.
 
     Raises
     ------
@@ -475,7 +465,7 @@ def _star(folder, row):
 
 
 def _causes(title, found):
-    """Return a list of messages, each with the stars that have it, but for numbers and files."""
+    """Return a list of messages, alike but for numbers and files, with the stars that have them."""
     groups = defaultdict(list)
     for key, message, trace in found:
         cause = re.sub(r"(/[^\s:'\"]+)+", "FILE", message)

@@ -9,7 +9,7 @@ import signal
 import traceback
 import warnings
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import partial
 from multiprocessing import resource_tracker
@@ -33,7 +33,7 @@ __all__ = ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
-_POLL = 5.0  # seconds between two checks of the connection to a scheduler
+_POLL = 5.0  # seconds between two checks of a scheduler
 _ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
 _WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
 
@@ -60,8 +60,8 @@ class SweepResult(Value):
     table : astropy.table.Table
         One row per star that did not fail, in the order of the tasks: ``results.ecsv``.
     failures : astropy.table.Table
-        One row per star that failed (key, error, task and traceback): ``failures.ecsv``, only if
-        one did, with the tracebacks as JSON.
+        One row per star that failed (key, error, task and traceback): ``failures.ecsv``, if there
+        are any, with the tracebacks as JSON.
     summary : astropy.table.Table or None
         What `summarize` made of the table: ``summary.ecsv``.
     files : tuple of pathlib.Path
@@ -72,10 +72,10 @@ class SweepResult(Value):
     Examples
     --------
     >>> from scope_models.batch import run_sweep
-    >>> tasks = [{"key": f"star{n}", "mag": 12.0 + n} for n in range(2)]
-    >>> result = run_sweep(lambda task: {"flux": 10 ** (-0.4 * task["mag"])}, tasks, progress=False)
+    >>> tasks = [{"key": f"star{n}", "number": n} for n in range(3)]
+    >>> result = run_sweep(lambda task: {"square": task["number"] ** 2}, tasks, progress=False)
     >>> result.table.colnames, result.n_computed
-    (['key', 'mag', 'flux'], 2)
+    (['key', 'number', 'square'], 3)
     """
 
     table: Table
@@ -86,7 +86,7 @@ class SweepResult(Value):
 
 
 def star_seed(seed, key, purpose=""):
-    """Return the seed of a star, which depends on nothing but the arguments.
+    """Return the seed of a star, which depends on the arguments alone.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def star_rng(seed, key, purpose="star"):
     Returns
     -------
     numpy.random.Generator
-        The generator, at the beginning of its stream.
+        The generator.
 
     Examples
     --------
@@ -151,7 +151,7 @@ def run_sweep(
         Numbers and strings of each star; "key" is a unique name of letters, digits and ``._+=-``.
     directory : str or path-like, optional
         Results directory, where ``results.sqlite`` keeps each finished star: the same call goes on
-        where an earlier one stopped, however it ended. Without one, results are in memory only.
+        where an earlier one stopped, however it ended. By default results are in memory only.
     client : distributed.Client, str, int or concurrent.futures.Executor, optional
         What computes the stars, by default this process. A number starts that many processes with
         Dask, which are reached from this machine only. A string is the address of a Dask
@@ -171,13 +171,12 @@ def run_sweep(
         Function of the table of results that returns a summary, a table; and function of table and
         summary that returns a figure or None.
     retry_failed, progress : bool, optional
-        Whether stars that failed in an earlier call are tried again, and whether to show a progress
-        bar on the standard error.
+        Whether stars that failed in an earlier call are tried again, and whether the standard error
+        shows a progress bar.
     chunk_size : int, optional
         Stars that a worker gets at a time; more than one saves time if stars take milliseconds.
     in_flight : int, optional
         Chunks that are submitted and not finished, at most; at least twice the number of workers.
-        Processes of our own have two each.
 
     Returns
     -------
@@ -371,7 +370,7 @@ def _checked_values(values, kind, task=()):
         raise ValueError(f"a result must not be named as a value of its task: {taken}")
     plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
     for name, value in plain.items():
-        if not isinstance(value, (bool, int, float, str)):
+        if not isinstance(value, (int, float, str)):
             raise TypeError(f"`{name}` of a {kind} must be a number or a string, got {value!r}")
         if isinstance(value, int) and not -(2**63) <= value < 2**63:
             raise ValueError(f"`{name}` of a {kind} must be an integer of at most 64 bits")
@@ -392,29 +391,28 @@ def _check_client(client):
 
 
 def _computed(client, measure, tasks, chunk_size, in_flight):
-    """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
+    """Yield the records of all tasks as they are finished.
 
     Stars whose process died are computed again one at a time: only the one that kills it fails.
-    A BrokenExecutor is raised if the workers, or their scheduler, are lost.
+    BrokenExecutor is raised if the workers, or their scheduler, are lost.
     """
     job = partial(_measured, measure)
     if client is None:
         for task in tasks:
             yield from job([task])
         return
-    with ExitStack() as stack:
-        if isinstance(client, Integral):
-            in_flight = 2 * client
-        if isinstance(client, (Integral, str)):
-            client = stack.enter_context(_dask_client(client))
+    if isinstance(client, Integral):
+        in_flight = 2 * client
+    is_own = isinstance(client, (Integral, str))
+    with _dask_client(client) if is_own else nullcontext(client) as executor:
         suspects = []
         chunks = [tasks[i : i + chunk_size] for i in range(0, len(tasks), chunk_size)]
-        for chunk, outcome in _completed(client, job, chunks, in_flight):
+        for chunk, outcome in _completed(executor, job, chunks, in_flight):
             if type(outcome).__name__ == "KilledWorker":
                 suspects += chunk
             else:
                 yield from _records(chunk, outcome)
-        for chunk, outcome in _completed(client, job, [[task] for task in suspects], 1):
+        for chunk, outcome in _completed(executor, job, [[task] for task in suspects], 1):
             yield from _records(chunk, outcome)
 
 
@@ -428,7 +426,7 @@ def _records(chunk, outcome):
 
 
 def _completed(client, job, chunks, in_flight):
-    """Submit chunks, a bounded number at a time; yield each with its result or exception."""
+    """Submit chunks; yield each with its result or exception."""
     is_dask = hasattr(client, "get_executor")
     executor = client.get_executor(pure=False) if is_dask else client
     chunks, waiting, lost = iter(chunks), {}, []
@@ -442,7 +440,7 @@ def _completed(client, job, chunks, in_flight):
             if not waiting:
                 break
             done = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED).done
-            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
+            # futures of a lost scheduler may stay pending for ever
             if not done and is_dask and client.status != "running":
                 lost += itertools.chain.from_iterable(waiting.values())
                 break
@@ -462,7 +460,7 @@ def _completed(client, job, chunks, in_flight):
 
 @contextmanager
 def _dask_client(where):
-    """Return a client of Dask, of workers on this machine or of a scheduler that runs already."""
+    """Return a client of Dask, of a number of workers on this machine or of a scheduler."""
     try:
         import cryptography  # noqa: F401 - of temporary keys
         import dask
@@ -479,7 +477,6 @@ def _dask_client(where):
         # A worker that dies gives its stars back at once.
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         _later_interrupts() as allow_interrupts,
-        ExitStack() as stack,
     ):
         try:
             # No port is open to other machines, nor to other users of this one.
@@ -493,10 +490,10 @@ def _dask_client(where):
                 "worker processes die at their start; see their message; a script must start its "
                 'work under `if __name__ == "__main__":`'
             ) from error
-        client = stack.enter_context(Client(stack.enter_context(cluster)))
-        client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
-        allow_interrupts()
-        yield client
+        with cluster, Client(cluster) as client:
+            client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
+            allow_interrupts()
+            yield client
 
 
 @contextmanager

@@ -24,10 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 _FIRST_SEED = 5000
-_STARS, _CADENCES = 200, 1100
-# Fluxes are multiples of 1/64 e-/s, far below the noise: the rounding errors of machines vanish.
-_STEPS = 64
-_DATE = "2026-01-01"
+_STEPS = 64  # per e-/s: far below the noise, far above the rounding errors of machines
 # How files of bzip2, xz, zip, compress and zstandard begin.
 _COMPRESSED = (b"BZh", b"\xfd7zXZ", b"PK\x03\x04", b"\x1f\x9d", b"\x28\xb5\x2f\xfd")
 _SCORES = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "bias", "step")
@@ -66,7 +63,7 @@ def benchmark_star(number):
     ('k2-1x-constant', 5001)
     """
     number = checked_integer("number", number, 0)
-    return make_sky(_regime_of(number), _FIRST_SEED + number, n_cadences=_CADENCES)
+    return make_sky(_regime_of(number), _FIRST_SEED + number, n_cadences=1100)
 
 
 def _regime_of(number):
@@ -74,7 +71,7 @@ def _regime_of(number):
 
 
 @documented(run=RUN, raises=RAISES)
-def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, stars=_STARS):
+def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, stars=200):
     """Write the target pixel files of the benchmark, without their truth.
 
     The files are the same on every machine: fluxes are rounded to 1/64 e-/s.
@@ -114,7 +111,7 @@ def _written(task, output, seed, *, version):  # noqa: ARG001 - the same on ever
     tpf = sky.to_tpf(quality_bitmask="none")
     for hdu in tpf.hdu:
         if "DATE" in hdu.header:
-            hdu.header["DATE"] = _DATE
+            hdu.header["DATE"] = "2026-01-01"
     tpf.hdu[0].header["OBJECT"] = task["key"]
     flux = tpf.hdu[1].data["FLUX"]
     flux[...] = np.round(_STEPS * flux.astype(float)) / _STEPS
@@ -140,8 +137,7 @@ class SkyScore:
     pull : float
         Root mean square of the cadences' deviations from the truth over the quoted errors.
     kept, floor : float
-        Part of the cadences that have a corrected flux; and expected photon, background and read
-        noise of a 6.5-h bin, ppm.
+        Part of the cadences that have a corrected flux; and expected noise of a 6.5-h bin, ppm.
 
     Examples
     --------
@@ -169,7 +165,7 @@ def score(lc, sky):
     lc : lightkurve.LightCurve
         Corrected (or raw) light curve with cadence numbers, from `MessyStar.to_tpf`.
     sky : MessyStar
-        The star. The noise in the file's aperture is the floor of all correctors.
+        The star.
 
     Returns
     -------

@@ -259,7 +259,6 @@ def _orbits(rng, time):
 
 
 def _walk(rng, time):
-    """Random steps with a weak pull to the middle."""
     return *(0.3 * red_noise(rng, time, 4.0) for _ in range(2)), np.zeros(len(time), bool)
 
 
@@ -354,7 +353,6 @@ def _flaring(rng, time, period, amplitude):
 
 
 def _bump(rng, time, period, amplitude):
-    """One Gaussian rise and fall."""
     since = (time - rng.uniform(0.3, 0.7) * time[-1]) / period
     return 1 + amplitude * np.exp(-4 * np.log(2) * since**2)
 

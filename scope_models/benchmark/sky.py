@@ -1,8 +1,8 @@
 """Messy stars: pixels with all that real skies do, and their truth.
 
 Neither simulator nor correctors nor fits use this rendering. The PSF is a Fourier series on a
-periodic field, the response of each pixel an oversampled map. The light of a pixel is the sum over
-the modes of the PSF's coefficient, the phase of the star's position, and the transform of the map.
+periodic field, the response of a pixel an oversampled map, the light in it the sum over the modes
+of the PSF's coefficient, the phase of the star's position, and the transform of the map.
 """
 
 from collections import namedtuple
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._threads import one_thread
@@ -23,10 +24,8 @@ from scope_models.scene.motion import K2Roll
 __all__ = ["MessyStar", "make_sky"]
 
 _LONG = K2Roll.cadence  # days
-_POSITIONS = ("wrong", "exact", "none")
 # Errors of POS_CORR in real files: of the scale; over days and of each cadence, pixels.
 _SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
-_ARGABRIGHTENING = 4096  # on the CCD
 _SAMPLES = 9  # of the light of an exposure: a jump within it is right to 1/18
 
 _MARGIN = 4  # pixels around the stamp until the field repeats
@@ -163,9 +162,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     n_cadences : int, optional
         Length in long cadences, at least 100; shorter where the regime is.
     positions : {"wrong", "exact", "none"}, optional
-        POS_CORR of the file: with the errors of real files (1 % in scale, 0.006 px over days,
-        0.003 px from cadence to cadence, nonsense where flagged), true, or NaN. The default is
-        that of the regime.
+        POS_CORR of the file: with errors as in real files, true, or NaN; by default that of the
+        regime.
     noise_seed : int, optional
         Seed of another draw of the photon, background and read noise alone.
 
@@ -189,7 +187,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     """
     if not isinstance(regime, SkyRegime):
         regime = REGIMES[checked_choice("regime", regime, REGIMES)]
-    positions = checked_choice("positions", positions or regime.positions, _POSITIONS)
+    given = positions or regime.positions
+    positions = checked_choice("positions", given, ("wrong", "exact", "none"))
     part = regime.cadence / _LONG
     n = min(round(checked_integer("n_cadences", n_cadences, 100) / part), regime.longest)
     rngs = _generators(regime, seed)
@@ -213,7 +212,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     electrons = light + noise * rngs["noise"].normal(size=light.shape)
     hits = rngs["rays"].uniform(size=light.shape) < regime.cosmic_rays * part
     electrons[hits] += 3000 * rngs["rays"].lognormal(0, 1, hits.sum())  # that the pipeline missed
-    # Transits do not change the aperture: a star with and without them has the same.
+    # A star with and without transits has the same aperture.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
     plain = outside & on
     aperture = _best_aperture(seen[plain], noise[plain] / exposure, part)
@@ -313,7 +312,7 @@ def _events(regime, rng, firing, n):
     bright = rng.choice(n, 2, replace=False)
     flash[bright] = rng.uniform(100, 2000, 2)
     if regime.mission != "TESS":
-        quality[bright] |= _ARGABRIGHTENING
+        quality[bright] |= 4096  # argabrightening on the CCD
     return quality, missing, flash
 
 
@@ -344,19 +343,11 @@ def _best_aperture(light, noise, part):
     return mask.reshape(noise.shape[1:])
 
 
-@dataclass(frozen=True)
-class PixelResponse:
-    """The transforms of all pixels' response maps."""
-
-    shape: tuple  # of the stamp
-    transforms: np.ndarray  # complex, (modes, pixels); no negative modes of columns
-    size: int  # pixels of the periodic field
-
-
-def _modes(size):
-    """Return angular frequencies of rows and of columns, radians per pixel."""
+def _modes(shape):
+    """Return the periodic field's size, and frequencies of rows and columns, radians per pixel."""
+    size = max(shape) + 2 * _MARGIN
     highest, unit = int(_HIGHEST * size), 2 * np.pi / size
-    return unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
+    return size, unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
 
 
 def _phases(places, frequencies):
@@ -391,7 +382,10 @@ def make_psf(rng, width):
 
 
 def make_response(rng, shape, *, drop, scatter):
-    """Return the `PixelResponse` of pixels with a mean `drop` to their edges and a `scatter`."""
+    """Return the transforms ``(rows, columns, ny, nx)`` of the response maps of pixels.
+
+    They have a mean `drop` to their edges and a `scatter`. Of columns there are no negative modes.
+    """
     ny, nx = shape
     u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
     n = ny * nx
@@ -402,8 +396,7 @@ def make_response(rng, shape, *, drop, scatter):
     sizes = np.where(order > 0, 0.3 * drop / np.maximum(order, 1), 0)
     maps += np.einsum("pab,ai,bj->pij", rng.normal(0, 1, (n, 4, 4)) * sizes, waves, waves)
     maps *= rng.normal(1, scatter, n)[:, None, None]
-    size = max(shape) + 2 * _MARGIN
-    rows, columns = _modes(size)
+    _, rows, columns = _modes(shape)
     # The maps are constant within each of their cells, whose transform is a sinc.
     cell = 2 * np.pi * _OVERSAMPLING
     phase_y = _phases(rows, u) * np.sinc(rows / cell)[:, None]
@@ -412,42 +405,43 @@ def make_response(rng, shape, *, drop, scatter):
     place_y = _phases(np.arange(ny), rows).repeat(nx, axis=0)
     place_x = np.tile(_phases(np.arange(nx), columns), (ny, 1))
     local *= place_y[:, :, None] * place_x[:, None, :]
-    return PixelResponse(shape, local.reshape(n, -1).T.copy(), size)
+    return np.moveaxis(local, 0, -1).reshape(len(rows), len(columns), ny, nx)
 
 
 def render(response, psf, x, y, width):
     """Return the light ``(n, ny, nx)`` of a star of flux 1 at positions and widths by cadence."""
     # The series is a polynomial of the width through Chebyshev nodes.
     middle, half = (width.max() + width.min()) / 2, max(np.ptp(width) / 2, 1e-6)
-    nodes = np.polynomial.chebyshev.chebpts1(3 + int(np.ceil(25 * half)))
-    series = np.array([_series(response, psf, middle + half * node) for node in nodes])
+    nodes, shape = chebpts1(3 + int(np.ceil(25 * half))), response.shape[2:]
+    series = np.array([_series(shape, psf, middle + half * node) for node in nodes])
     degree = len(nodes) - 1
-    values = np.polynomial.chebyshev.chebvander((width - middle) / half, degree)
-    shares = values @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
-    rows, columns = _modes(response.size)
-    images = np.empty((len(x), response.transforms.shape[1]))
+    values = chebvander((width - middle) / half, degree)
+    shares = values @ np.linalg.inv(chebvander(nodes, degree))
+    _, rows, columns = _modes(shape)
+    transforms = response.reshape(-1, np.prod(shape))
+    images = np.empty((len(x), transforms.shape[1]))
     for first in range(0, len(x), _CHUNK):
         part = slice(first, first + _CHUNK)
         light = np.tensordot(shares[part], series, 1)
         light *= _phases(-y[part], rows)[:, :, None]
         light *= _phases(-x[part], columns)[:, None, :]
         light = light.reshape(len(light), -1)
-        images[part] = light.real @ response.transforms.real
-        images[part] -= light.imag @ response.transforms.imag
-    return images.reshape(len(x), *response.shape)
+        images[part] = light.real @ transforms.real
+        images[part] -= light.imag @ transforms.imag
+    return images.reshape(len(x), *shape)
 
 
-def _series(response, psf, width):
+def _series(shape, psf, width):
     """Return Fourier coefficients of a PSF whose light on the field is 1."""
-    samples = np.arange(response.size * _OVERSAMPLING) / _OVERSAMPLING
-    place = (samples + response.size / 2) % response.size - response.size / 2
+    size, rows, columns = _modes(shape)
+    samples = np.arange(size * _OVERSAMPLING) / _OVERSAMPLING
+    place = (samples + size / 2) % size - size / 2
     x, y = np.meshgrid(place / width, place / width)
     values = psf(x, y)
     values /= values.sum()
-    rows, columns = _modes(response.size)
     coefficients = _phases(rows, -samples) @ values @ _phases(columns, -samples).T
     coefficients[:, 1:] *= 2  # for those of negative columns, which are their conjugates
-    return coefficients / response.size**2
+    return coefficients / size**2
 
 
 def bleed(electrons, well):
