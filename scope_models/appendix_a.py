@@ -190,7 +190,7 @@ class Target:
 
     @property
     def contamination(self):
-        """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
+        """Share of the neighbors in the aperture's starlight, which dilutes the star's signals."""
         own, *others = self.observation.star_images
         return 1 - sm.photometry.crowding(own, sum(others, 0 * own), self.aperture)
 
@@ -409,7 +409,7 @@ class Target:
         number : int, optional
             Which of `transits`.
         window : float, optional
-            Hours to draw on either side of mid-transit; by default twice the transit's duration.
+            Hours to draw on either side of mid-transit, by default twice the duration.
         {draw}
         """
         if not 0 <= number < (n := len(self.transits)):

@@ -2,7 +2,6 @@
 
 import lazy_loader
 
-# Imported at first use, as in the package itself.
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={

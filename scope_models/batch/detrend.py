@@ -1,4 +1,4 @@
-"""Corrects many files, with positions of other stars of the CCD where those of a file are wrong."""
+"""Corrects the light curves of many files."""
 
 import hashlib
 import warnings
@@ -57,7 +57,7 @@ def detrend_files(
     Parameters
     ----------
     paths : sequence of str or path-like
-        Target pixel files; names of targets are searched and downloaded (`find_files`).
+        Target pixel files, or names of targets (`find_files`).
     output_dir : str or path-like
         Folder for the light curves and the results, as `run_sweep` writes them: the same call goes
         on where an earlier one stopped.
@@ -149,13 +149,12 @@ def _detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, 
 
     path, survival = task["file"], options.pop("survival", False)
     hlsp = {name[5:]: options.pop(name) for name in list(options) if name.startswith("hlsp_")}
-    transits = task if "period" in task else None
     with naming(path):
         tpf = read_tpf(path)
         if task.get("positions"):
             folder = output.parents[len(Path(task["output"]).parts) - 1]
             options["positions"] = _star_positions(tpf, folder / task["positions"])
-        corrector = _files.correct_file(tpf, transits, **options)
+        corrector = _files.correct_file(tpf, task if "period" in task else None, **options)
         series = read_pixels(corrector.tpf)
         header, row = series.header, header_row(series)
         row["campaign"], row["channel"] = ccd_label(header)

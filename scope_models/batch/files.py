@@ -317,8 +317,7 @@ def find_files(paths):
     """Return files for paths and names of targets.
 
     Of a name, such as "EPIC 211956421" (or KIC or TIC), lightkurve searches and downloads the first
-    target pixel file, or takes it from its cache. Of several cadences of one pipeline it is the
-    longest.
+    target pixel file; of several cadences of one pipeline it is the longest.
 
     Parameters
     ----------

@@ -365,7 +365,7 @@ def _checked_tasks(tasks):
 
 
 def _checked_values(values, kind, task=()):
-    """Return a dictionary of numbers and strings with Python's own types."""
+    """Return numbers and strings with Python's own types."""
     if taken := [name for name in sorted(values) if name in task]:
         raise ValueError(f"a result must not be named as a value of its task: {taken}")
     plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
@@ -460,7 +460,7 @@ def _completed(client, job, chunks, in_flight):
 
 @contextmanager
 def _dask_client(where):
-    """Return a client of Dask, of a number of workers on this machine or of a scheduler."""
+    """Return a client of Dask, of workers on this machine or of a scheduler."""
     try:
         import cryptography  # noqa: F401 - of temporary keys
         import dask

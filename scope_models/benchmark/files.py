@@ -222,11 +222,9 @@ def score_light_curves(paths):
 
     Examples
     --------
-    >>> from astropy.table import Table
     >>> from scope_models.benchmark import benchmark_star, score_light_curves
     >>> lc = benchmark_star(0).to_tpf().to_lightcurve(aperture_mask="pipeline")
-    >>> names = ("cadenceno", "flux", "flux_err")
-    >>> Table([lc[name] for name in names], names=names).write("sky000-raw.ecsv")
+    >>> lc.to_table()["cadenceno", "flux", "flux_err"].write("sky000-raw.ecsv")
     >>> score_light_curves(["sky000-raw.ecsv"])["regime"].tolist()
     ['k2-1x-constant']
     """
@@ -240,8 +238,8 @@ def score_light_curves(paths):
         row = {"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky))
         flux = np.full(len(sky.time), np.nan)
         flux[numbers - 1] = values_of(lc, "flux")
-        cadences = sky.cadenceno * sky.regime.cadence
-        bias, step = score_places(cadences, flux, sky.true_flux, sky.x, sky.y)
+        time = sky.cadenceno * sky.regime.cadence
+        bias, step = score_places(time, flux, sky.true_flux, sky.x, sky.y)
         rows.append(row | {"bias": bias, "step": step})
     return Table(rows=rows)
 
@@ -337,9 +335,9 @@ def score_light_curve(time, flux, error, truth, transit, noise):
 
 
 def score_places(time, flux, truth, x, y):
-    """Return the bias, for a sum of functions of the fractions of x and y, and the step, in ppm.
+    """Return the bias, of a sum of functions of the fractions of x and y, and the step, in ppm.
 
-    `score_light_curves` defines both; NaN stands for too few cadences, or no crossing of pixels.
+    `score_light_curves` defines both; they are NaN with too few cadences or crossings of pixels.
     """
     good = np.isfinite(flux * truth * x * y)
     time, flux, truth, x, y = (a[good] for a in (time, flux, truth, x, y))

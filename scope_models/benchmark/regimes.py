@@ -1,4 +1,4 @@
-"""Kinds of messy stars: how they move, how their light varies, and the table of all of them."""
+"""Kinds of messy stars: their motions, their variability, and the table of all."""
 
 from dataclasses import dataclass, fields
 from functools import partial
@@ -56,10 +56,10 @@ class SkyRegime(Value):
     longest, lost : int, optional
         Most cadences of a star, and those without a flag in which the star is off the stamp.
     positions : {"wrong", "none"}, optional
-        POS_CORR of the file, as in `make_sky`.
+        As in `make_sky`.
     apart : bool, optional
-        Whether the star is scored apart: under slow motion its slow variability cannot be found in
-        its pixels alone, so that only the quoted errors can be right.
+        Whether the star is scored apart, as its slow variability under slow motion cannot be found
+        in its pixels alone.
 
     Examples
     --------
@@ -119,7 +119,7 @@ _BUMP = {"star": "bump", "period": 5.0, "magnitude": 13}
 _FAR = {"scale": 5, "shape": (11, 11)}
 _PAIR = {"star": "eclipsing", "period": 2.3, "neighbors": ((1.5, 2.5, 0),)}
 _JITTER = {"motion": "jitter", "positions": "none"}
-# Two minutes, of frames as those of a long cadence.
+# Two minutes.
 _FAST = {"cadence": K2Roll.cadence / 15, "longest": 6000, "seeing": 0.002}
 _HUGE = {"scale": 10, "shape": (13, 13)}
 _SINGLE = {"transit_period": np.inf}

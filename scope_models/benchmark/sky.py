@@ -33,9 +33,8 @@ _OVERSAMPLING = 12
 _HIGHEST = 2.5  # cycles per pixel: the narrowest component has exp(-25) of its light there
 _CHUNK = 300
 
-# Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
-# magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
-# full well (e-/s), width of the PSF (px).
+# From the missions' handbooks: zero point (e-/s of a star of magnitude 12), seconds of exposure,
+# read noise per cadence (e-), sky background (e-/s per pixel), full well (e-/s), PSF's width (px).
 _Photometer = namedtuple("_Photometer", "zero_point exposure read_noise background well width")
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55)
 _TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65)
@@ -52,10 +51,8 @@ class MessyStar(Value):
     ----------
     regime : SkyRegime
         What kind of star it is.
-    seed, noise_seed : int
-        The seeds, as in `make_sky`.
-    positions : str
-        Which POS_CORR the file has, as in `make_sky`.
+    seed, noise_seed, positions : int, int, str
+        As in `make_sky`.
     time, cadenceno, quality : ndarray, shape (n,)
         Times in days, NaN where there are no data, numbers and flags of the cadences.
     flux, flux_err : ndarray, shape (n, ny, nx)
@@ -198,8 +195,9 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     exposure, read_noise = photometer.exposure * part, photometer.read_noise * np.sqrt(part)
     time = regime.cadence * np.arange(n)
     true_flux, transit, outside = _variability(regime, rngs["star"], n)
-    shared = _field(regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n)
-    own, others, (x, y), width, offsets, firing = shared
+    own, others, (x, y), width, offsets, firing = _field(
+        regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n
+    )
     lost = rngs["positions"].permutation(n)[: regime.lost]
     on = ~np.isin(np.arange(n), lost)
     x, y, others = np.where(on, x, np.nan), np.where(on, y, np.nan), others * on[:, None, None]

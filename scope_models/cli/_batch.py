@@ -81,7 +81,7 @@ def _run_files(arguments):
 
 
 def _planets_of(arguments, planet):
-    """Return the planets of ``--planets``, a table, or the one given as columns; None without."""
+    """Return the table ``--planets``, or the planet as columns; None without both."""
     if arguments.planets is None:
         return {name: [value] for name, value in planet.items()} or None
     if planet:
@@ -315,7 +315,7 @@ def given(arguments, *names):
 
 
 def planet_of(arguments):
-    """Return the planet of the options, as far as it is given; empty without one."""
+    """Return the planet of the options, empty without one."""
     planet = given(arguments, "period", "depth", "t0", "duration")
     if planet and not {"period", "depth"} <= planet.keys():
         raise ValueError("a planet needs --period and --depth")

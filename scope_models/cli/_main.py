@@ -43,8 +43,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0, 1 if some of many files failed, or 2 after an error, whose line goes to the
-        standard error.
+        0, 1 if some of many files failed, or 2 after an error.
 
     Examples
     --------
