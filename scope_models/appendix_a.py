@@ -27,15 +27,15 @@ def generate_target(
     Parameters
     ----------
     mag, roll : float, optional
-        Magnitude in the mission's band (Kp), and factor on the motion; 1 is K2's, 0 stands still.
+        Magnitude in the mission's band, and factor on the motion, 0 for rest.
     coords : tuple of float, optional
         Reference position (column, row) in pixels from 0; by default the center of the stamp.
     background_level, neighbor_magdiff : float, optional
-        Background in e-/s per pixel, by default that of the detector; and magnitude of the neighbor
-        minus `mag`, for ``neighbor=True``.
+        Background in e-/s per pixel, by default the detector's; and magnitude of a neighbor minus
+        `mag`.
     ncadences, apsize, ID : int, optional
         Number of cadences, by default 1000, or all of a shorter motion; rows and columns of the
-        stamp, not used with a `detector`; EPIC number of a K2 target whose motion is downloaded.
+        stamp without a `detector`; EPIC number of a K2 target whose motion is downloaded.
     transit, variable, neighbor : bool, optional
         Add a transit, variability or a neighbor with the defaults of the methods of `Target`.
     tpf_path : str or path-like, optional
@@ -45,7 +45,7 @@ def generate_target(
     signal, noise, seed : optional
         See `Target.add_signal` and `Target`.
     motion : `~scope_models.Motion`, optional
-        The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
+        The motion; without it, `ID` and `tpf_path` it is `scope_models.Motion.k2_roll`.
     psf, detector : `~astropy.modeling.Model`, `~scope_models.Detector`, optional
         PSF of the star, by default the detector's, and detector, by default ``Detector.k2()``.
 
@@ -57,8 +57,8 @@ def generate_target(
     Raises
     ------
     TypeError, ValueError, ConnectionError
-        If an argument is of the wrong kind or outside its domain, `ncadences` exceeds the length of
-        the motion, or the motion is given twice, or not found, or cannot be downloaded.
+        If an argument is of the wrong kind or outside its domain, or the motion is given twice, too
+        short, or cannot be found or downloaded.
 
     Examples
     --------
@@ -114,10 +114,9 @@ def _forwarded(method):
 class Target:
     """A simulated star, its neighbors and its pixels.
 
-    `generate_target` makes it. What is added changes the expected flux only: the noise of all else
-    stays as it was. All attributes below may be changed: the next look at the pixels simulates what
-    they are then. Methods raise ValueError if an argument is outside its domain, and TypeError if
-    an option is misspelled.
+    `generate_target` makes it. Additions leave the noise of all else as it was. Attributes may be
+    changed: the next look at the pixels simulates them anew. Methods raise ValueError if an
+    argument is outside its domain, and TypeError if an option is misspelled.
 
     Parameters
     ----------
@@ -131,7 +130,7 @@ class Target:
     Attributes
     ----------
     neighbors, transits : list of `~scope_models.Star`, list of `~scope_models.TransitModel`
-        Its neighbors, and the transits that were added. The parameters are attributes, too.
+        What was added. The parameters are attributes, too.
 
     Examples
     --------
@@ -191,7 +190,7 @@ class Target:
 
     @property
     def contamination(self):
-        """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
+        """Share of the neighbors in the aperture's starlight, which dilutes the star's signals."""
         own, *others = self.observation.star_images
         return 1 - sm.photometry.crowding(own, sum(others, 0 * own), self.aperture)
 
@@ -232,8 +231,7 @@ class Target:
         var_amp : float, optional
             Relative semi-amplitude, between 0 and 1.
         freq : float, optional
-            Angular frequency in radians per day, of the time t after the first cadence: the period
-            is ``2 * pi / freq`` days.
+            Angular frequency in radians per day; t is the time after the first cadence.
 
         {same}
         """
@@ -263,13 +261,13 @@ class Target:
         Parameters
         ----------
         magdiff, dist, angle : float, optional
-            Its magnitude minus that of the star; distance from it in pixels; and direction in
-            degrees from growing columns to growing rows, by default random and on the stamp.
+            Its magnitude minus the star's; distance from it in pixels; and direction in degrees
+            from growing columns to growing rows, by default random and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
         psf, signal : optional
-            Its PSF, by default that of the detector, and its own relative flux, as in `add_signal`:
-            an eclipsing background binary is a deep `~scope_models.TransitModel`.
+            Its PSF, by default the detector's, and relative flux, as in `add_signal`: an eclipsing
+            background binary is a deep `~scope_models.TransitModel`.
 
         {same}
         """
@@ -300,8 +298,7 @@ class Target:
         ----------
         method : {"threshold", "signal-to-noise", "contamination", "circular"}, optional
             Pixels that the noise-free star brightens at any cadence (the paper's); the highest
-            signal-to-noise ratio; the star's pixels that neighbors do not dominate; a circle about
-            the star's reference position.
+            signal-to-noise ratio; pixels that neighbors do not dominate; a circle about the star.
         **options
             Options of the function of `scope_models.photometry`, as ``threshold`` or ``radius``.
 
@@ -345,7 +342,7 @@ class Target:
     def detrend(self, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.
 
-        The fit leaves out the transits that were added; `plot` draws the result too.
+        The fit leaves out the transits; `plot` draws the result.
 
         Parameters
         ----------
@@ -405,14 +402,14 @@ class Target:
     def plot_transit(self, number=0, *, window=None, ax=None):
         """Draw the light curve folded on a transit that was added.
 
-        It is the de-trended one after `Target.detrend`. The star's other signals are divided out.
+        After `Target.detrend` it is de-trended. The star's other signals are divided out.
 
         Parameters
         ----------
         number : int, optional
             Which of `transits`.
         window : float, optional
-            Hours to draw on either side of mid-transit; by default twice the transit's duration.
+            Hours to draw on either side of mid-transit, by default twice the duration.
         {draw}
         """
         if not 0 <= number < (n := len(self.transits)):

@@ -34,7 +34,7 @@ if "--serve" not in sys.argv:  # the process of the corrector has the names of i
     from astropy.table import Table, join
 
     from scope_models.benchmark import REGIMES, make_sky
-    from scope_models.benchmark._scores import binned, outliers, score_light_curve, slope
+    from scope_models.benchmark.files import binned, outliers, score_light_curve, slope
 
 NUISANCES = {"width": 1e-3, "x": 0.01, "y": 0.01, "background": 1.0, "drift": 10.0}
 KEY = ("regime", "seed", "positions")

@@ -1,21 +1,13 @@
-"""Many stars and many files: on one machine or many, kept as they are finished, and resumed.
-
-`run_sweep` computes a function of many stars; `detrend_files`, `fit_files`, `inject_files` and
-`simulate_table` are sweeps whose stars are files.
-"""
+"""Many stars and many files: on one machine or many, kept as they are finished, and resumed."""
 
 import lazy_loader
 
-# Public names are imported at first use, as in the package itself.
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "files": [
-            "detrend_files", "find_files", "fit_files", "inject_file", "inject_files",
-            "simulate_table",
-        ],
-        "report": ["write_report"],
-        "results": ["read_results"],
+        "detrend": ["detrend_files"],
+        "files": ["find_files", "fit_files", "inject_file", "inject_files", "simulate_table"],
+        "results": ["read_results", "write_report"],
         "sweep": ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"],
     },
-)  # fmt: skip
+)

@@ -1,8 +1,11 @@
-"""One call for many files: correct, fit, inject, and simulate the stars of a table."""
+"""One call for many files: fit, inject, and simulate the stars of a table."""
 
 import os
 import re
+import sys
+import time
 import unicodedata
+import warnings
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -11,16 +14,13 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import LARGEST_DAY, values_of, without_unit
-from scope_models._checks import checked_choice, checked_number, one_line
+from scope_models._checks import checked_number, one_line
 from scope_models._docstrings import documented
-from scope_models.batch import _detrend
-from scope_models.batch._many import FITS, RAISES, RUN, run_files
-from scope_models.batch.results import check_data_set
+from scope_models.batch.results import FILE, UNITS
+from scope_models.batch.sweep import run_sweep, star_seed
 from scope_models.fitting import FitOptions, fit_tpf
-from scope_models.io import read_pixels, read_tpf
-from scope_models.io._light_curves import Collection
-from scope_models.io._opening import check_output, naming
-from scope_models.io.pixels import read_neighbors
+from scope_models.io._opening import check_output, identity, naming
+from scope_models.io.pixels import read_neighbors, read_pixels, read_tpf
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial, TransitModel
@@ -28,107 +28,29 @@ from scope_models.photometry import noise_of
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
-__all__ = [
-    "detrend_files", "find_files", "fit_files", "inject_file", "inject_files", "simulate_table",
-]  # fmt: skip
+__all__ = ["find_files", "fit_files", "inject_file", "inject_files", "simulate_table"]
 
 _NAME = re.compile(r"(EPIC|KIC|TIC)[ -]?\d+", re.IGNORECASE)
 _PLANET = ("period", "t0", "depth", "duration")
 _COLUMNS = ("name", "mag", "x_0", "y_0", *_PLANET)
-
-
-@documented(run=RUN)
-def detrend_files(
-    paths, output_dir, client=None, *, overwrite=False, sweep=None, format="fits", hlsp=None,  # noqa: A002
-    planets=None, positions_from=None, **options,
-):  # fmt: skip
-    """Correct the light curves of many target pixel files.
-
-    Parameters
-    ----------
-    paths : sequence of str or path-like
-        Target pixel files; names of targets are searched and downloaded (`find_files`).
-    output_dir : str or path-like
-        Folder for the light curves, ``NAME-lc.fits``, and the results, as `run_sweep` writes
-        them: the same call goes on where an earlier one stopped.
-    {run}
-    format : {"fits", "hlsp", "parquet"}, optional
-        What is written: a FITS file per star, ``NAME-lc.fits``; FITS files as an archive's
-        collection of high-level science products has them, with a manifest; or one data set
-        ``light_curves`` of Parquet files, a row per star.
-    hlsp : mapping of str to str, optional
-        The collection of ``format="hlsp"``: id, lead and version, and if wanted title and doi.
-    planets : astropy.table.Table or mapping, optional
-        Columns period, t0 (a mid-transit, as in the file) and duration in days, one row for all
-        files or one for each: cadences in transit are left out of the fit.
-    positions_from : sequence of str or path-like, optional
-        Target pixel files whose common motion (`Motion.from_tpfs <scope_models.Motion.from_tpfs>`)
-        is that of all stars of their CCDs. By default stars whose own POS_CORR is missing, or
-        disagrees with that of the others, have the motion of POS_CORR of up to 12 other files of
-        the run on the same CCD; their warnings say so.
-    **options
-        Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
-        `~scope_models.correctors.PLDOptions` that are numbers, text, or
-        true or false; ``survival=True`` adds the survival of transits, which doubles the time;
-        ``neighbors`` is as for `~scope_models.correctors.detrend_file`.
-
-    Returns
-    -------
-    SweepResult
-        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as ``cdpp``
-        and EVEREST's as ``cdpp_everest``), crowding as the header has it, transit survival if it is
-        wanted, and warnings; medians by magnitude; failures; and the files.
-
-    Raises
-    ------
-    ValueError
-        If a file is given twice, two have the same name, or one would be replaced.
-    OSError, SweepError
-        As `run_sweep`; SweepError if all files fail.
-
-    Warns
-    -----
-    FailedStarsWarning
-        If files have failed; the others go on.
-
-    Examples
-    --------
-    >>> from scope_models import generate_target
-    >>> from scope_models.batch import detrend_files
-    >>> paths = [
-    ...     generate_target(mag, ncadences=300, seed=1).write(f"kp{mag}.fits") for mag in (11, 12)]
-    >>> result = detrend_files(paths, "corrected", order=1, sweep={"progress": False})
-    >>> [path.name for path in sorted(result.files[0].parent.glob("*.fits"))]
-    ['kp11-lc.fits', 'kp12-lc.fits']
-    >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
-    True
-    """
-    checked_choice("format", format, _detrend.FORMATS)
-    files, inputs = find_files(paths), _catalog(options)
-    rows = name_output = None
-    if planets is not None:
-        rows = planet_rows(planets, files, ("period", "t0", "duration"), ())
-    if (format == "hlsp") != (hlsp is not None):
-        raise ValueError('`hlsp` is needed by, and only by, `format="hlsp"`')
-    if format != "fits":
-        options |= {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
-    if format == "hlsp":
-        name_output = partial(_detrend.archive_name, Collection(**hlsp))
-    elif format == "parquet":
-        name_output = _detrend.partition_of
-        check_data_set(output_dir, overwrite=overwrite)
-    others = None if positions_from is None else find_files(positions_from)
-    moved = _detrend.write_motions(files, output_dir, others)
-    rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
-    result = run_files(
-        _detrend.detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
-        options=options, draw=_noise_figure, overwrite=overwrite, sweep=sweep, inputs=inputs,
-        name_output=name_output,
-    )  # fmt: skip
-    if format == "hlsp":
-        manifest = _detrend.write_manifest(result.table, output_dir)
-        return result.replace(files=(*result.files, manifest))
-    return result
+#: Arguments of all functions that run over many files.
+RUN = """
+client : distributed.Client, str, int or concurrent.futures.Executor, optional
+    What computes, as in `run_sweep`.
+overwrite : bool, optional
+    Whether a new run may replace files in the folder.
+sweep : mapping, optional
+    Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
+"""
+#: Errors of all of them.
+RAISES = """
+Raises
+------
+OSError, ValueError, SweepError
+    As `~scope_models.batch.detrend_files`, or if an argument is not as described."""
+# How the names of FITS files end.
+_FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
+_LONGEST = 300  # characters of the warnings of a star
 
 
 @documented(run=RUN, raises=RAISES)
@@ -165,7 +87,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     """
     return run_files(
         _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
-        inputs=_catalog(options), options=options, overwrite=overwrite, sweep=sweep,
+        inputs=absolute_neighbors(options), options=options, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -181,16 +103,16 @@ def inject_files(
         Target pixel files, or names of targets.
     planets : astropy.table.Table or mapping
         Columns period and depth, and if wanted t0 and duration (days; depth relative): one row
-        for all files, or one for each in their order. ``t0`` is the time of a mid-transit as in
-        the file, by default half a period after its first cadence; the default duration is that
-        of a central transit of a star like the Sun.
+        for all files, or one for each. ``t0``, a mid-transit as in the file, is by default half a
+        period after its first cadence, the duration that of a central transit of a star like the
+        Sun.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME-injected.fits``.
     {run}
     star : {"scene", "fit"} or float, optional
-        The light that is dimmed: that of the scene of a simulated file; of a fit with the defaults
-        of `~scope_models.fit_tpf`; or the share of the star in all pixels. The default is the
-        scene if the file has one, else the fit.
+        The light that is dimmed: that of the scene of a simulated file; of a default
+        `~scope_models.fit_tpf`; or the share of the star in all pixels. The default is the scene
+        if the file has one, else the fit.
     seed : int, optional
         Seed of the photon noise, together with the name of the file.
 
@@ -276,10 +198,10 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     table = injected.hdu[-1].data
     depth = float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0
     row = {"t0": float(model.t0.value), "duration": float(model.duration), "injected_depth": depth}
-    return _detrend.header_row(series) | row | {"in_transit": int(np.sum(table["SIGNAL"] < 1))}
+    return header_row(series) | row | {"in_transit": int(np.sum(table["SIGNAL"] < 1))}
 
 
-def _catalog(options):
+def absolute_neighbors(options):
     """Return the file of neighbors, if there is one; workers find it by its absolute path."""
     if options.get("neighbors") in {None, "find"}:
         return ()
@@ -296,9 +218,19 @@ def planet_rows(planets, files, needed=("period", "depth"), further=("t0", "dura
     if len(planets) not in {1, len(files)}:
         wanted = f"one row, or one for each of the {len(files)} files"
         raise ValueError(f"`planets` must have {wanted}, got {len(planets)}")
-    names = [*needed, *(name for name in further if name in planets.colnames)]
-    rows = [{n: float(row[n]) for n in names if not np.ma.is_masked(row[n])} for row in planets]
+    given = [_values_of(row, (*needed, *further)) for row in planets]
+    rows = [{name: float(value) for name, value in row.items()} for row in given]
     return rows if len(rows) > 1 else rows * len(files)
+
+
+def _values_of(row, names):
+    """Return the values that a row of a table has, without units."""
+    given = {name: row[name] for name in names if name in row.colnames}
+    return {
+        name: np.asarray(without_unit(value)).item()
+        for name, value in given.items()
+        if not np.ma.is_masked(value)
+    }
 
 
 def planet_model(planet, time, exposure_time):
@@ -328,15 +260,15 @@ def simulate_table(
     Parameters
     ----------
     table : astropy.table.Table or mapping
-        A row per star: ``mag``, and if wanted ``name``, ``x_0`` and ``y_0`` (pixels), ``period``,
-        ``depth``, and if known ``t0`` and ``duration`` of a planet, as in `inject_files`.
+        A row per star: ``mag``, and if wanted ``name``, ``x_0`` and ``y_0`` (pixels), and the
+        columns of a planet, as in `inject_files`.
     output_dir : str or path-like
-        Folder for the results and the files, ``NAME.fits``, by default ``star0001.fits`` and so on.
+        Folder for the results and the files, ``NAME.fits`` or ``star0001.fits`` and so on.
     {run}
     detector : str, optional
         Name of a preset, or a TOML file of `~scope_models.read_detector`.
     motion : str, optional
-        A file whose POS_CORR columns the stars follow. By default a generated K2 roll for K2, the
+        A file whose POS_CORR columns the stars follow. The default is a generated roll for K2, the
         tracking of a telescope for the ground, and rest for others.
     cadences : int, optional
         Cadences of each star; those of the file, if it has fewer.
@@ -369,24 +301,22 @@ def simulate_table(
     planet = set(_PLANET) & set(table.colnames)
     if planet and not {"period", "depth"} <= planet:
         raise ValueError(f"`table` must have period and depth of a planet, got {sorted(planet)}")
-    given = [{n: row[n] for n in table.colnames if not np.ma.is_masked(row[n])} for row in table]
-    rows = [{n: np.asarray(without_unit(v)).item() for n, v in row.items()} for row in given]
+    rows = [_values_of(row, table.colnames) for row in table]
     width = max(4, len(str(len(rows))))
     names = [str(row.get("name", f"star{n:0{width}d}")) for n, row in enumerate(rows, start=1)]
-    options = {"detector": str(detector), "motion": str(motion), "cadences": cadences}
+    files = {"detector": str(detector), "motion": str(motion)}
     return run_files(
         _simulated, names, output_dir, client, name="simulate", suffix=".fits", rows=rows,
-        inputs=[path for path in map(str, (detector, motion)) if path not in {"", *PRESETS}],
-        are_files=False, options=options, seed=seed, overwrite=overwrite, sweep=sweep,
+        inputs=[path for path in files.values() if path not in {"", *PRESETS}], are_files=False,
+        options=files | {"cadences": cadences}, seed=seed, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
 def find_files(paths):
     """Return files for paths and names of targets.
 
-    EPIC, KIC or TIC with a number, such as "EPIC 211956421", is a name if there is no such file:
-    lightkurve searches and downloads its first target pixel file, or takes it from its cache. Of
-    several cadences of one pipeline it is the longest.
+    Of a name, such as "EPIC 211956421" (or KIC or TIC), lightkurve searches and downloads the first
+    target pixel file; of several cadences of one pipeline it is the longest.
 
     Parameters
     ----------
@@ -401,8 +331,7 @@ def find_files(paths):
     Raises
     ------
     OSError
-        If the search or the download fails, or what is neither a name nor ends as FITS files do is
-        no file.
+        If the search or the download fails, or there is no such file.
     ValueError
         If a file is given twice, or nothing is found for a name.
 
@@ -419,7 +348,7 @@ def find_files(paths):
     found = {}
     for path in paths:
         text = os.fspath(path)
-        if not Path(text).exists() and not FITS.search(text):
+        if not Path(text).exists() and not _FITS.search(text):
             text = _downloaded(text)
         key = os.path.realpath(text)
         if key in found:
@@ -429,7 +358,7 @@ def find_files(paths):
 
 
 def _downloaded(name):
-    """Return the path of the first target pixel file of the longest cadence of its pipeline."""
+    """Return the path of the file of a name, as `find_files` describes it."""
     if not _NAME.fullmatch(name):
         raise FileNotFoundError(f"{name}: no such file, and not an EPIC, KIC or TIC number")
     import lightkurve
@@ -457,7 +386,7 @@ def named_detector(name, argument="`detector`"):
 
 
 def default_motion(detector, n):
-    """Return the motion without a file: K2 rolls, telescopes on the ground track, others rest."""
+    """Return the motion that `simulate_table` has by default."""
     cadence = detector.cadence_days
     if detector.mission == "K2":
         return Motion.k2_roll(n)
@@ -465,12 +394,6 @@ def default_motion(detector, n):
         return Motion.ground(n, cadence=86400 * cadence, pixel_scale=detector.pixel_scale)
     mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
     return Motion.still(n, cadence=cadence, start=mission.start, time_format=mission.time_format)
-
-
-def _noise_figure(table, _):
-    from scope_models.plotting.detrending import plot_precision  # imports matplotlib
-
-    return plot_precision({name: values_of(table, name) for name in ("mag", "raw_cdpp", "cdpp")})
 
 
 def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
@@ -491,7 +414,7 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
 
 def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
     fit = fit_file(task["file"], output, overwrite=True, **options)
-    row = _detrend.header_row(read_pixels(task["file"])) | {"n_cadences": len(fit.time)}
+    row = header_row(read_pixels(task["file"])) | {"n_cadences": len(fit.time)}
     row |= {"reduced_chi2": float(fit.reduced_chi2), "flux": float(np.nanmedian(fit.flux))}
     return row | dict(fit.parameters.iterrows("name", "value"))
 
@@ -503,8 +426,8 @@ def _injected(task, output, seed, *, star):
 
 def _simulated(task, output, seed, *, detector, motion, cadences):
     detector, signal = named_detector(detector), None
-    moved = default_motion(detector, cadences) if not motion else Motion.from_file(motion)
-    motion = moved[:cadences]
+    motion = Motion.from_file(motion) if motion else default_motion(detector, cadences)
+    motion = motion[:cadences]
     if "depth" in task:
         signal = planet_model(task, motion.time, detector.cadence_days)
     star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)
@@ -514,3 +437,108 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
     flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
     n_pixels = int(observation.aperture.sum())
     return {"n_cadences": len(motion), "n_pixels": n_pixels, "cdpp": noise_of(flux)}
+
+
+def run_files(
+    work, names, folder, client, *, name, suffix, options, rows=None, inputs=(), are_files=True,
+    seed=1, draw=None, overwrite=False, sweep=None, name_output=None,
+):  # fmt: skip
+    """Run a function that writes a file over many files or names, after checks of the outputs.
+
+    ``work(task, output, seed, **options)`` returns a row. The tasks hold ``rows`` and, if
+    ``are_files``, the names. Outputs are the keys with the suffix, or those of
+    ``name_output(file, key)``.
+    """
+    for option, value in options.items():
+        if not isinstance(value, (int, float, str, type(None))):
+            raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
+    folder, tasks, written = Path(folder).absolute(), [], {}
+    for file, row in zip(names, rows or [{}] * len(names), strict=True):
+        stem = unicodedata.normalize("NFC", _FITS.sub("", Path(file).name))
+        key = re.sub(r"[^\w.+=-]", "_", stem).strip("._-")
+        if not key:
+            raise ValueError(f"the name of {file} has no letter or digit for that of its output")
+        usual = f"{key}{suffix}"
+        output = usual if name_output is None else name_output(file, key)
+        for path in dict.fromkeys((usual, output)):
+            if path in written:
+                raise ValueError(f"{written[path]} and {file} would both become {path}")
+            written[path] = file
+        state = {"file": file} | file_state(file) if are_files else {}
+        tasks.append({"key": key} | state | row | {"output": output})
+    outputs = [folder / task["output"] for task in tasks]
+    replaced = {identity(path) for path in outputs}
+    for file in (*(names if are_files else ()), *inputs):
+        if identity(file) in replaced:
+            raise ValueError(f"{file} would be replaced by an output: choose another folder")
+    for path in () if overwrite or (folder / FILE).exists() else outputs:
+        if path.exists():
+            raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
+    return run_sweep(
+        partial(_worked, work, options, folder, seed), tasks, folder, client, name=name,
+        config={"seed": seed, **options}, units=UNITS, summarize=_summary, draw=draw,
+        inputs=inputs, output=lambda task: folder / task["output"], **(sweep or {}),
+    )  # fmt: skip
+
+
+def _worked(work, options, folder, seed, task):
+    """Write the file of a star and return its row, with the warnings and the cost."""
+    start = time.thread_time()
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        row = work(task, folder / task["output"], star_seed(seed, task["key"]), **options)
+    texts = dict.fromkeys(" ".join(str(item.message).split()) for item in caught)
+    texts = [text for text in texts if "tpfmodel submodule" not in text]
+    row |= {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
+    return row | {"seconds": round(time.thread_time() - start, 3), "peak_memory": _peak_memory()}
+
+
+def _peak_memory():
+    """Return the peak memory of this process, MiB; NaN on Windows."""
+    try:
+        import resource
+    except ImportError:
+        return np.nan
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, KiB elsewhere
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 1)
+
+
+def _summary(table):
+    """Return the medians of all columns of numbers, by half magnitudes."""
+    left_out = {"bytes", "changed", "mag", "seconds", "peak_memory"}
+    names = [n for n in table.colnames if table[n].dtype.kind in "fi" and n not in left_out]
+    bins = np.round(2 * values_of(table, "mag")) / 2
+    rows = []
+    for center in np.unique(bins):  # NaN, of unknown magnitudes, is the last
+        chosen = np.isnan(bins) if np.isnan(center) else bins == center
+        first = {"mag": center, "stars": int(chosen.sum())}
+        rows.append(first | medians(table[chosen], names))
+    return Table(rows)
+
+
+def medians(table, names):
+    """Return the median of the finite values of each column, NaN without any."""
+    columns = {name: values_of(table, name) for name in names}
+    finite = {name: values[np.isfinite(values)] for name, values in columns.items()}
+    return {name: float(np.median(v)) if len(v) else np.nan for name, v in finite.items()}
+
+
+def file_state(file):
+    """Return size and age of a file, so that one that has changed is computed again."""
+    try:
+        state = Path(file).stat()
+    except OSError:
+        return {"bytes": -1, "changed": 0}
+    return {"bytes": state.st_size, "changed": state.st_mtime_ns}
+
+
+def header_row(series):
+    header, mission = series.header, series.mission
+    return {
+        "object": str(header.get("OBJECT") or ""), "n_cadences": len(series),
+        "mission": mission.name if mission else "",
+        "mag": number_of(header.get(mission.magnitude_keyword) if mission else None),
+    }  # fmt: skip
+
+
+def number_of(value):
+    return float(value) if isinstance(value, (int, float)) else np.nan

@@ -2,12 +2,14 @@
 
 import lazy_loader
 
-# Imported at first use, as in the package itself.
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "files": ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"],
+        "files": [
+            "SkyScore", "benchmark_star", "make_benchmark", "score", "score_light_curves",
+            "summarize_scores",
+        ],
         "regimes": ["REGIMES", "SkyRegime"],
-        "sky": ["MessyStar", "SkyScore", "make_sky", "score"],
+        "sky": ["MessyStar", "make_sky"],
     },
-)
+)  # fmt: skip

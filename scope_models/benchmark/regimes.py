@@ -1,11 +1,13 @@
-"""Kinds of messy stars, and the table of all of them."""
+"""Kinds of messy stars: their motions, their variability, and the table of all."""
 
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 
 from scope_models._arrays import plain_number
 from scope_models._values import Value
+from scope_models.effects._noise import red_noise
 from scope_models.scene.motion import K2Roll
 
 __all__ = ["REGIMES", "SkyRegime"]
@@ -29,37 +31,35 @@ class SkyRegime(Value):
         Kind of variability: "constant", "spots", "sine", "rr_lyrae", "delta_scuti", "eclipsing",
         "flaring", "bump", "rise" or "walk".
     period : float, optional
-        Its period, the mean time between flares, the full width of a bump at half of its height,
-        the time of a rise, or the correlation time of a random walk, days.
+        Its period, the mean time between flares, the full width of a bump at half its height, the
+        time of a rise, or the correlation time of a random walk, days.
     amplitude : float, optional
-        About half its relative range; of eclipses the depth, of a bump or rise the height, of a
-        random walk the standard deviation.
+        About half its relative range; the depth of eclipses, the height of a bump or rise, the
+        standard deviation of a random walk.
     depth, transit_period, duration : float, optional
-        Relative depth, period and duration of transits, days. A period of infinity stands for one
-        transit.
+        Relative depth, period (infinite for one transit) and duration of transits, days.
     neighbors : tuple of (float, float, float), optional
         Magnitude difference, distance (px) and amplitude of a 1.1-d variability of each neighbor.
     focus, focus_period : float, optional
         Largest relative change of the PSF's width, and its period, days.
     seeing : float, optional
-        Standard deviation of fast relative changes of the width, correlated over 1 h: jitter
-        within an exposure, or the atmosphere.
+        Standard deviation of relative changes of the width, correlated over 1 h.
     background : float, optional
         Background that the file's own subtraction leaves, e-/s per pixel.
     shape : tuple of int, optional
         Rows and columns.
     cosmic_rays : float, optional
-        Share of all values that hold a cosmic ray in a long cadence. Two K2 files of faint stars
-        look as simulated ones with 0.025.
+        Share of all values that hold a cosmic ray in a long cadence; about 0.025 in two K2 files
+        of faint stars.
     cadence : float, optional
         Time from cadence to cadence, days.
     longest, lost : int, optional
         Most cadences of a star, and those without a flag in which the star is off the stamp.
     positions : {"wrong", "none"}, optional
-        POS_CORR of the file, as in `make_sky`.
+        As in `make_sky`.
     apart : bool, optional
-        Whether no method can find the truth in the pixels of this star alone, so that only the
-        quoted errors can be right: slow variability under slow motion. Scored apart.
+        Whether the star is scored apart, as its slow variability under slow motion cannot be found
+        in its pixels alone.
 
     Examples
     --------
@@ -119,7 +119,7 @@ _BUMP = {"star": "bump", "period": 5.0, "magnitude": 13}
 _FAR = {"scale": 5, "shape": (11, 11)}
 _PAIR = {"star": "eclipsing", "period": 2.3, "neighbors": ((1.5, 2.5, 0),)}
 _JITTER = {"motion": "jitter", "positions": "none"}
-# Two minutes, of frames as those of a long cadence.
+# Two minutes.
 _FAST = {"cadence": K2Roll.cadence / 15, "longest": 6000, "seeing": 0.002}
 _HUGE = {"scale": 10, "shape": (13, 13)}
 _SINGLE = {"transit_period": np.inf}
@@ -206,3 +206,179 @@ _ALL = (
 
 #: The regimes by name.
 REGIMES = {regime.name: regime for regime in _ALL}
+
+
+def _roll(rng, time):
+    """Sawtooth of 6 h along a short arc, whose sense reverses, and a slow drift."""
+    span = time[-1]
+    reversal = rng.uniform(0.25, 0.75) * span
+    rate = 1.5 * rng.uniform(0.6, 1.3) * np.sin(np.pi * (reversal - time) / 35)
+    period = 0.2452
+    roll, firing = np.empty(len(time)), np.zeros(len(time), bool)
+    angle, last, speed = rng.normal(0, 0.1), 0, 1.0
+    for i, now in enumerate(time):
+        step = now - time[i - 1] if i else 0.0
+        angle += rate[i] * speed * step
+        if int(now / period) > last:
+            last = int(now / period)
+            if abs(angle) > 0.1:
+                angle, speed = rng.normal(0, 0.06), rng.normal(1, 0.15)
+                firing[i] = True
+        roll[i] = angle
+    direction = rng.uniform(0, 2 * np.pi)
+    along = roll + 0.003 * red_noise(rng, time, 0.06)
+    drift = rng.normal(0, 0.05, 2) * (time / span - 0.5)[:, None]
+    across = 0.03 * roll**2 + 0.002 * rng.normal(size=len(time))
+    c, s = np.cos(direction), np.sin(direction)
+    return c * along - s * across + drift[:, 0], s * along + c * across + drift[:, 1], firing
+
+
+def _drift(rng, time):
+    """Velocity aberration, the wheels' temperature every 3 d, and jitter."""
+    phase = time / time[-1] - 0.5
+    offsets = []
+    for _ in range(2):
+        slope, bend = rng.normal(0, 0.25), rng.normal(0, 0.1)
+        heater = rng.uniform(0.001, 0.004) * np.sin(2 * np.pi * time / 3 + rng.uniform(0, 6))
+        offsets.append(slope * phase + bend * phase**2 + heater + rng.normal(0, 4e-4, len(time)))
+    return *offsets, np.zeros(len(time), bool)
+
+
+def _orbits(rng, time):
+    """Jitter, a drift within each orbit of 13.7 d, and momentum dumps."""
+    dumps = 2.5 + 0.2 * rng.uniform()
+    number = (time / dumps).astype(int)
+    firing = np.diff(number, prepend=0) > 0
+    offsets = []
+    for _ in range(2):
+        jumps = rng.normal(0, 0.01, number[-1] + 1)[number]
+        orbit = rng.normal(0, 0.04) * ((time % 13.7) / 13.7 - 0.5) ** 2 * 4
+        jitter = 0.006 * red_noise(rng, time, 0.08) + 0.004 * rng.normal(size=len(time))
+        offsets.append(jumps + orbit + jitter)
+    return *offsets, firing
+
+
+def _walk(rng, time):
+    return *(0.3 * red_noise(rng, time, 4.0) for _ in range(2)), np.zeros(len(time), bool)
+
+
+def _wheels(rng, time):
+    """Wheels that fail: a drift that grows, slow oscillations and jumps."""
+    phase = time / time[-1]
+    offsets = []
+    jumps = np.sort(rng.uniform(0, time[-1], 8))
+    firing = np.zeros(len(time), bool)
+    firing[np.minimum(np.searchsorted(time, jumps), len(time) - 1)] = True
+    for _ in range(2):
+        level = np.concatenate([[0], rng.normal(0, 0.25, 8)])[np.searchsorted(jumps, time)]
+        swing = 0.3 * phase**2 * np.sin(2 * np.pi * time / rng.uniform(0.7, 2) + rng.uniform(0, 6))
+        drift = rng.normal(0, 0.4) * phase**2
+        offsets.append(level * phase + swing + drift + 0.01 * red_noise(rng, time, 0.1))
+    return *offsets, firing
+
+
+def _jitter(rng, time, size=0.0035, slow=0.0035):
+    """White noise and noise over hours, pixels."""
+    white = rng.normal(0, size, (2, len(time)))
+    return *(one + slow * red_noise(rng, time, 0.1) for one in white), np.zeros(len(time), bool)
+
+
+#: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
+#: Times are in days from the beginning.
+MOTIONS = {
+    "k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels,
+    "rest": partial(_jitter, size=1e-4, slow=0.0), "jitter": _jitter,
+}  # fmt: skip
+
+
+def _wave(rng, time, period):
+    return np.sin(2 * np.pi * time / period + rng.uniform(0, 2 * np.pi))
+
+
+def _spots(rng, time, period, amplitude):
+    """Two groups of spots whose sizes evolve over several rotations."""
+    values = np.zeros(len(time))
+    for harmonic, part in ((1, 1.0), (2, 0.5)):
+        angle = 2 * np.pi * harmonic * time / period + rng.uniform(0, 2 * np.pi)
+        size = 1 + 0.4 * _smooth(rng, time, 2 * period)
+        values += part * size * np.sin(angle + 0.4 * _smooth(rng, time, 3 * period))
+    return 1 + amplitude * values
+
+
+def _smooth(rng, time, scale):
+    """Return a smooth process of about unit variance."""
+    nodes = np.arange(-4 * scale, time[-1] + 5 * scale, scale)
+    kernel = np.exp(-0.5 * ((time[:, None] - nodes) / scale) ** 2)
+    return kernel @ rng.normal(size=len(nodes)) / np.sqrt((kernel**2).sum(axis=1))
+
+
+def _rr_lyrae(rng, time, period, amplitude):
+    """A steep rise and a slow decline."""
+    phase = 2 * np.pi * (time / period + rng.uniform())
+    harmonics = np.arange(1, 8)
+    shape = (np.sin(np.outer(phase, harmonics)) / harmonics * 0.85**harmonics).sum(axis=1)
+    return 1 + amplitude * shape / np.ptp(shape) * 2
+
+
+def _delta_scuti(rng, time, period, amplitude):
+    values = np.zeros(len(time))
+    for part in (1.0, 0.6, 0.4, 0.2):
+        values += part * _wave(rng, time, period * rng.uniform(0.7, 1.4))
+    return 1 + amplitude * values / 2.2
+
+
+def _eclipsing(rng, time, period, amplitude):
+    """Two eclipses of soft shape, and ellipsoidal variations."""
+    phase = (time / period + rng.uniform()) % 1
+    half = 0.035 * rng.uniform(0.8, 1.5)
+    primary = _dip((phase + 0.5) % 1 - 0.5, half)
+    secondary = _dip(phase - 0.5, half)
+    ellipsoidal = 0.01 * np.cos(4 * np.pi * phase)
+    return (1 - amplitude * primary - 0.4 * amplitude * secondary) * (1 - ellipsoidal)
+
+
+def _dip(x, half):
+    """Return a dip of depth 1 with soft shoulders."""
+    return np.clip(1.5 * (1 - np.abs(x / half) ** 2.5), 0, 1)
+
+
+def _flaring(rng, time, period, amplitude):
+    """Fast rises with exponential decays, one every `period` days, and weak spots."""
+    values = _spots(rng, time, 3.7, 0.002)
+    for _ in range(rng.poisson(time[-1] / period) + 1):
+        since = time - rng.uniform(0, time[-1])
+        decay = rng.uniform(0.02, 0.08)
+        values += amplitude * rng.pareto(1.5) * 0.5 * (since > 0) * np.exp(-np.abs(since) / decay)
+    return np.minimum(values, 2.0)
+
+
+def _bump(rng, time, period, amplitude):
+    since = (time - rng.uniform(0.3, 0.7) * time[-1]) / period
+    return 1 + amplitude * np.exp(-4 * np.log(2) * since**2)
+
+
+def _rise(rng, time, period, amplitude):
+    """One smooth rise that begins on the first day."""
+    phase = np.clip((time - rng.uniform()) / period, 0, 1)
+    return 1 + amplitude * np.sin(np.pi / 2 * phase) ** 2
+
+
+#: Relative flux of a star without transits, near 1, by the kind of variability: functions of time,
+#: period and amplitude as in `SkyRegime`.
+LIGHTS = {
+    "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
+    "sine": lambda rng, time, period, amplitude: 1 + amplitude * _wave(rng, time, period),
+    "walk": lambda rng, time, period, amplitude: 1 + amplitude * red_noise(rng, time, period),
+    "spots": _spots, "rr_lyrae": _rr_lyrae, "delta_scuti": _delta_scuti, "eclipsing": _eclipsing,
+    "flaring": _flaring, "bump": _bump, "rise": _rise,
+}  # fmt: skip
+
+
+def make_transit(rng, time, period, duration):
+    """Return the shape of transits, 0 outside and 1 at most; period and duration are in days."""
+    phase = rng.uniform(0.35, 0.65)
+    if np.isinf(period):  # a single one
+        since = time - phase * time[-1]
+    else:
+        since = (time - phase * period + period / 2) % period - period / 2
+    return np.clip(1.3 * (1 - np.abs(2 * since / duration) ** 4), 0, 1)

@@ -1,36 +1,40 @@
-"""Messy stars: pixels with all that real skies do, their truth, and scores of corrected curves."""
+"""Messy stars: pixels with all that real skies do, and their truth.
+
+Neither simulator nor correctors nor fits use this rendering. The PSF is a Fourier series on a
+periodic field, the response of a pixel an oversampled map, the light in it the sum over the modes
+of the PSF's coefficient, the phase of the star's position, and the transform of the map.
+"""
 
 from collections import namedtuple
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from scope_models._arrays import plain_array
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import Value
-from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit
-from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
-from scope_models.benchmark._scores import SkyScore, score_light_curve
-from scope_models.benchmark.regimes import REGIMES, SkyRegime
+from scope_models.benchmark.regimes import LIGHTS, MOTIONS, REGIMES, SkyRegime, make_transit
 from scope_models.effects._noise import red_noise
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
 
-__all__ = ["MessyStar", "SkyScore", "make_sky", "score"]
+__all__ = ["MessyStar", "make_sky"]
 
 _LONG = K2Roll.cadence  # days
-_POSITIONS = ("wrong", "exact", "none")
-# Errors of POS_CORR in real files: of the scale; slow, over days, and of each cadence, pixels.
+# Errors of POS_CORR in real files: of the scale; over days and of each cadence, pixels.
 _SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
-_ARGABRIGHTENING = 4096  # on the CCD
 _SAMPLES = 9  # of the light of an exposure: a jump within it is right to 1/18
 
-# Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
-# magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
-# full well (e-/s), width of the PSF (px).
+_MARGIN = 4  # pixels around the stamp until the field repeats
+_OVERSAMPLING = 12
+_HIGHEST = 2.5  # cycles per pixel: the narrowest component has exp(-25) of its light there
+_CHUNK = 300
+
+# From the missions' handbooks: zero point (e-/s of a star of magnitude 12), seconds of exposure,
+# read noise per cadence (e-), sky background (e-/s per pixel), full well (e-/s), PSF's width (px).
 _Photometer = namedtuple("_Photometer", "zero_point exposure read_noise background well width")
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55)
 _TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65)
@@ -41,31 +45,28 @@ _PHOTOMETERS = {"K2": _KEPLER, "Kepler": _KEPLER, "TESS": _TESS}
 class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
-    All cadences are there, those without data too; fluxes are in e-/s.
+    Cadences without data are there too; fluxes are in e-/s.
 
     Attributes
     ----------
     regime : SkyRegime
         What kind of star it is.
-    seed, noise_seed : int
-        The seeds; that of the noise is None where `seed` is the seed of the noise too.
-    positions : str
-        Which POS_CORR the file has, as in `make_sky`.
+    seed, noise_seed, positions : int, int, str
+        As in `make_sky`.
     time, cadenceno, quality : ndarray, shape (n,)
         Times in days, NaN where there are no data, numbers and flags of the cadences.
     flux, flux_err : ndarray, shape (n, ny, nx)
         Pixels after the pipeline's subtraction of its background, and their formal errors.
     pos_corr1, pos_corr2 : ndarray, shape (n,)
-        Offsets with the errors of real files.
+        Offsets, pixels.
     x, y, width : ndarray, shape (n,)
-        True positions of the star in the stamp, pixels, NaN where it is off the stamp; and true
-        relative width of the PSF.
+        True positions in the stamp, pixels, NaN where the star is off it; and true relative width
+        of the PSF.
     true_flux, transit : ndarray, shape (n,)
-        True relative flux of the star, variability and transits, averaged over exposures; and the
-        transits alone.
+        True relative flux of the star, averaged over exposures; and the transits alone.
     star_light, neighbor_light, background_light, sky : ndarray, shape (n, ny, nx)
-        The star's own light in each pixel, without noise (and before full pixels spill), the
-        neighbors' light, the background that is left in `flux`, and what the pipeline took off.
+        Light without noise, before full pixels spill: of the star, of its neighbors, the background
+        that is left in `flux`, and what the pipeline took off.
     aperture : ndarray of bool, shape (ny, nx)
         The file's aperture: the pixels whose sum, uncorrected, is expected to scatter least.
     noise : ndarray, shape (n, ny, nx)
@@ -103,12 +104,12 @@ class MessyStar(Value):
     noise: np.ndarray = field(repr=False)
 
     def floor(self):
-        """Return the expected noise of a light curve of only the star, relative, per cadence.
+        """Return the expected relative noise of a cadence of a light curve of only the star.
 
         Returns
         -------
         float
-            Median over cadences of photon, background and read noise over starlight in `aperture`.
+            Median over cadences of `noise` over starlight in `aperture`.
         """
         mask, here = self.aperture, np.isfinite(self.x)
         noise = np.sqrt((self.noise[here][:, mask] ** 2).sum(axis=1))
@@ -127,22 +128,21 @@ class MessyStar(Value):
         lightkurve.KeplerTargetPixelFile or lightkurve.TessTargetPixelFile
             The file, without truth.
         """
-        from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
+        import lightkurve
 
-        cadence = self.regime.cadence
-        frames = {"TESS": (1.98, 0.02, 900)}.get(self.regime.mission, (6.0198, 0.5189, 270))
+        mission, cadence = self.regime.mission, self.regime.cadence
+        frames = (1.98, 0.02, 900) if mission == "TESS" else (6.0198, 0.5189, 270)
         metadata = TPFMetadata(
-            mission=self.regime.mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
-            int_time=frames[0], read_time=frames[1], time_delta=cadence,
-            n_frames=round(frames[2] * cadence / _LONG),
+            mission=mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
+            int_time=frames[0], read_time=frames[1], n_frames=round(frames[2] * cadence / _LONG),
+            time_delta=cadence,
         )  # fmt: skip
+        columns = "time", "cadenceno", "flux", "flux_err", "quality", "pos_corr1", "pos_corr2"
         hdulist = make_tpf_hdulist(
-            metadata=metadata, time=self.time, cadenceno=self.cadenceno, flux=self.flux,
-            flux_err=self.flux_err, flux_bkg=self.sky, flux_bkg_err=0.01 * self.sky,
-            quality=self.quality, pos_corr1=self.pos_corr1, pos_corr2=self.pos_corr2,
-            aperture=self.aperture,
+            metadata=metadata, flux_bkg=self.sky, flux_bkg_err=0.01 * self.sky,
+            aperture=self.aperture, **{name: getattr(self, name) for name in columns},
         )  # fmt: skip
-        kind = TessTargetPixelFile if self.regime.mission == "TESS" else KeplerTargetPixelFile
+        kind = getattr(lightkurve, MISSIONS[mission].tpf_class)
         return kind(hdulist, quality_bitmask=quality_bitmask)
 
 
@@ -159,9 +159,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     n_cadences : int, optional
         Length in long cadences, at least 100; shorter where the regime is.
     positions : {"wrong", "exact", "none"}, optional
-        POS_CORR of the file: with the errors of real files (1 % in scale, 0.006 px over days,
-        0.003 px from cadence to cadence, nonsense where flagged), true, or NaN. The default is
-        that of the regime.
+        POS_CORR of the file: with errors as in real files, true, or NaN; by default that of the
+        regime.
     noise_seed : int, optional
         Seed of another draw of the photon, background and read noise alone.
 
@@ -185,7 +184,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     """
     if not isinstance(regime, SkyRegime):
         regime = REGIMES[checked_choice("regime", regime, REGIMES)]
-    positions = checked_choice("positions", positions or regime.positions, _POSITIONS)
+    given = positions or regime.positions
+    positions = checked_choice("positions", given, ("wrong", "exact", "none"))
     part = regime.cadence / _LONG
     n = min(round(checked_integer("n_cadences", n_cadences, 100) / part), regime.longest)
     rngs = _generators(regime, seed)
@@ -195,8 +195,9 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     exposure, read_noise = photometer.exposure * part, photometer.read_noise * np.sqrt(part)
     time = regime.cadence * np.arange(n)
     true_flux, transit, outside = _variability(regime, rngs["star"], n)
-    shared = _field(regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n)
-    own, others, (x, y), width, offsets, firing = shared
+    own, others, (x, y), width, offsets, firing = _field(
+        regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n
+    )
     lost = rngs["positions"].permutation(n)[: regime.lost]
     on = ~np.isin(np.arange(n), lost)
     x, y, others = np.where(on, x, np.nan), np.where(on, y, np.nan), others * on[:, None, None]
@@ -209,60 +210,21 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     electrons = light + noise * rngs["noise"].normal(size=light.shape)
     hits = rngs["rays"].uniform(size=light.shape) < regime.cosmic_rays * part
     electrons[hits] += 3000 * rngs["rays"].lognormal(0, 1, hits.sum())  # that the pipeline missed
-    # Transits do not change the aperture: a star with and without them has the same.
+    # A star with and without transits has the same aperture.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
-    outside &= on
-    aperture = _best_aperture(seen[outside], noise[outside] / exposure, part)
+    plain = outside & on
+    aperture = _best_aperture(seen[plain], noise[plain] / exposure, part)
     given = rngs["positions"], time, quality, lost, positions
-    pos_corr = [_measured(offset, *given) for offset in offsets]
+    pos_corr1, pos_corr2 = (_measured(offset, *given) for offset in offsets)
     flux = (electrons / exposure - sky).astype(np.float32)
     flux[missing] = np.nan
     return MessyStar(
-        regime=regime, seed=seed, noise_seed=noise_seed, positions=positions,
-        time=np.where(missing, np.nan, 2144.1 + time),
+        regime, seed, noise_seed, positions, time=np.where(missing, np.nan, 2144.1 + time),
         cadenceno=np.arange(1, n + 1), quality=quality, flux=flux,
-        flux_err=(noise / exposure).astype(np.float32), pos_corr1=pos_corr[0],
-        pos_corr2=pos_corr[1], x=x, y=y, width=width, true_flux=true_flux, transit=transit,
-        star_light=star_light, neighbor_light=others, background_light=residual, sky=sky,
-        aperture=aperture, noise=noise / exposure,
-    )  # fmt: skip
-
-
-def score(lc, sky):
-    """Compare a light curve with the truth.
-
-    Parameters
-    ----------
-    lc : lightkurve.LightCurve
-        Corrected (or raw) light curve with cadence numbers, from `MessyStar.to_tpf`.
-    sky : MessyStar
-        The star. The noise in the file's aperture is the floor of all correctors.
-
-    Returns
-    -------
-    SkyScore
-        The scores.
-
-    Raises
-    ------
-    ValueError
-        If the light curve has no column ``cadenceno``.
-
-    Examples
-    --------
-    >>> from scope_models.benchmark import make_sky, score
-    >>> sky = make_sky("k2-1x-transits-1pct", seed=1, n_cadences=300)
-    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
-    >>> bool(0.7 < score(lc, sky).depth < 1.3)
-    True
-    """
-    if "cadenceno" not in getattr(lc, "columns", ()):
-        raise ValueError("`lc` must have the column cadenceno")
-    rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
-    flux, error = (plain_array(lc[name], None, name) for name in ("flux", "flux_err"))
-    return score_light_curve(
-        sky.regime.cadence * rows, flux, error, sky.true_flux[rows], sky.transit[rows],
-        sky.floor(),
+        flux_err=(noise / exposure).astype(np.float32), pos_corr1=pos_corr1, pos_corr2=pos_corr2,
+        x=x, y=y, width=width, true_flux=true_flux, transit=transit, star_light=star_light,
+        neighbor_light=others, background_light=residual, sky=sky, aperture=aperture,
+        noise=noise / exposure,
     )  # fmt: skip
 
 
@@ -348,7 +310,7 @@ def _events(regime, rng, firing, n):
     bright = rng.choice(n, 2, replace=False)
     flash[bright] = rng.uniform(100, 2000, 2)
     if regime.mission != "TESS":
-        quality[bright] |= _ARGABRIGHTENING
+        quality[bright] |= 4096  # argabrightening on the CCD
     return quality, missing, flash
 
 
@@ -377,3 +339,120 @@ def _best_aperture(light, noise, part):
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter / np.where(level > 0, level, np.inf) ** 2) + 1]] = True
     return mask.reshape(noise.shape[1:])
+
+
+def _modes(shape):
+    """Return the periodic field's size, and frequencies of rows and columns, radians per pixel."""
+    size = max(shape) + 2 * _MARGIN
+    highest, unit = int(_HIGHEST * size), 2 * np.pi / size
+    return size, unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
+
+
+def _phases(places, frequencies):
+    return np.exp(1j * np.outer(places, frequencies))
+
+
+def make_psf(rng, width):
+    """Return a density of Gaussians off the center, a Moffat wing and spikes, not normalized."""
+    cores = [
+        (part, *rng.normal(0, 0.25 * width, 2), width * rng.uniform(0.85, 1.5), rng.uniform(0.8, 1))
+        for part in (0.5, 0.3, 0.2)
+    ]
+    wing = rng.uniform(0.12, 0.25), width * rng.uniform(1.3, 1.8), rng.uniform(2.2, 3.0)
+    angle, spikes = rng.uniform(0, np.pi), rng.uniform(0.01, 0.03)
+
+    def density(x, y):
+        value = 0.0
+        for part, x_0, y_0, sigma, ratio in cores:
+            square = ((x - x_0) / sigma) ** 2 + ((y - y_0) / (ratio * sigma)) ** 2
+            value += part * np.exp(-square / 2) / (2 * np.pi * ratio * sigma**2)
+        part, alpha, beta = wing
+        moffat = (beta - 1) / (np.pi * alpha**2) * (1 + (x**2 + y**2) / alpha**2) ** -beta
+        value += part * moffat
+        for turn in (angle, angle + np.pi / 2):
+            along = x * np.cos(turn) + y * np.sin(turn)
+            across = y * np.cos(turn) - x * np.sin(turn)
+            square = (along / (4 * width)) ** 2 + (across / (0.9 * width)) ** 2
+            value += spikes * np.exp(-square / 2) / (2 * np.pi * 3.6 * width**2)
+        return value
+
+    return density
+
+
+def make_response(rng, shape, *, drop, scatter):
+    """Return the transforms ``(rows, columns, ny, nx)`` of the response maps of pixels.
+
+    They have a mean `drop` to their edges and a `scatter`. Of columns there are no negative modes.
+    """
+    ny, nx = shape
+    u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
+    n = ny * nx
+    drops = drop * rng.normal(1, 0.2, (2, n, 1))
+    maps = (1 - drops[0] * 4 * u**2)[:, :, None] * (1 - drops[1] * 4 * u**2)[:, None, :]
+    waves = np.cos(np.pi * np.arange(4)[:, None] * (u + 0.5))
+    order = np.add.outer(np.arange(4), np.arange(4))
+    sizes = np.where(order > 0, 0.3 * drop / np.maximum(order, 1), 0)
+    maps += np.einsum("pab,ai,bj->pij", rng.normal(0, 1, (n, 4, 4)) * sizes, waves, waves)
+    maps *= rng.normal(1, scatter, n)[:, None, None]
+    _, rows, columns = _modes(shape)
+    # The maps are constant within each of their cells, whose transform is a sinc.
+    cell = 2 * np.pi * _OVERSAMPLING
+    phase_y = _phases(rows, u) * np.sinc(rows / cell)[:, None]
+    phase_x = _phases(columns, u) * np.sinc(columns / cell)[:, None]
+    local = np.einsum("ki,pij,lj->pkl", phase_y, maps, phase_x, optimize=True) / len(u) ** 2
+    place_y = _phases(np.arange(ny), rows).repeat(nx, axis=0)
+    place_x = np.tile(_phases(np.arange(nx), columns), (ny, 1))
+    local *= place_y[:, :, None] * place_x[:, None, :]
+    return np.moveaxis(local, 0, -1).reshape(len(rows), len(columns), ny, nx)
+
+
+def render(response, psf, x, y, width):
+    """Return the light ``(n, ny, nx)`` of a star of flux 1 at positions and widths by cadence."""
+    # The series is a polynomial of the width through Chebyshev nodes.
+    middle, half = (width.max() + width.min()) / 2, max(np.ptp(width) / 2, 1e-6)
+    nodes, shape = chebpts1(3 + int(np.ceil(25 * half))), response.shape[2:]
+    series = np.array([_series(shape, psf, middle + half * node) for node in nodes])
+    degree = len(nodes) - 1
+    values = chebvander((width - middle) / half, degree)
+    shares = values @ np.linalg.inv(chebvander(nodes, degree))
+    _, rows, columns = _modes(shape)
+    transforms = response.reshape(-1, np.prod(shape))
+    images = np.empty((len(x), transforms.shape[1]))
+    for first in range(0, len(x), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        light = np.tensordot(shares[part], series, 1)
+        light *= _phases(-y[part], rows)[:, :, None]
+        light *= _phases(-x[part], columns)[:, None, :]
+        light = light.reshape(len(light), -1)
+        images[part] = light.real @ transforms.real
+        images[part] -= light.imag @ transforms.imag
+    return images.reshape(len(x), *shape)
+
+
+def _series(shape, psf, width):
+    """Return Fourier coefficients of a PSF whose light on the field is 1."""
+    size, rows, columns = _modes(shape)
+    samples = np.arange(size * _OVERSAMPLING) / _OVERSAMPLING
+    place = (samples + size / 2) % size - size / 2
+    x, y = np.meshgrid(place / width, place / width)
+    values = psf(x, y)
+    values /= values.sum()
+    coefficients = _phases(rows, -samples) @ values @ _phases(columns, -samples).T
+    coefficients[:, 1:] *= 2  # for those of negative columns, which are their conjugates
+    return coefficients / size**2
+
+
+def bleed(electrons, well):
+    """Return images whose pixels above the well have spilled along columns, half each way."""
+    images = electrons.copy()
+    full = (images > well).any(axis=(0, 1))
+    columns = images[:, :, full]
+    for _ in range(60 * images.shape[1]):
+        excess = np.maximum(columns - well, 0)
+        if not np.any(excess > 1e-6 * well):
+            break
+        columns -= excess
+        columns[:, 1:] += excess[:, :-1] / 2
+        columns[:, :-1] += excess[:, 1:] / 2
+    images[:, :, full] = columns
+    return images

@@ -13,4 +13,4 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture
 def empty_figures(monkeypatch):
     """Leave the figure of a run of corrections empty: to draw it takes as long as two stars."""
-    monkeypatch.setattr("scope_models.batch.files._noise_figure", lambda *_: Figure())
+    monkeypatch.setattr("scope_models.batch.detrend._noise_figure", lambda *_: Figure())

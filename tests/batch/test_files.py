@@ -260,7 +260,7 @@ class TestBadInput:
             return write_hdulist(hdus, path, **options)
 
         with monkeypatch.context() as patch:
-            patch.setattr("scope_models.batch._detrend.write_hdulist", full)
+            patch.setattr("scope_models.batch.detrend.write_hdulist", full)
             with pytest.warns(FailedStarsWarning, match="1 stars failed"):
                 result = detrend(files, tmp_path / "out")
         assert "kp12-lc.fits: No space left on device" in result.failures["error"][0]

@@ -9,7 +9,7 @@ from astropy.io import fits
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import SweepError, detrend_files, read_results, simulate_table, write_report
-from scope_models.batch.report import _star
+from scope_models.batch.results import _star
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
 

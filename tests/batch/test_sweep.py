@@ -23,9 +23,8 @@ from astropy.table import Table
 from sweep_studies import Numbers, blas_threads
 
 from scope_models.batch import SweepError, run_sweep, star_rng, star_seed
-from scope_models.batch import _store as store_module
 from scope_models.batch import sweep as sweep_module
-from scope_models.batch._store import FILE, Store
+from scope_models.batch.results import FILE, Store
 from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
 from scope_models.io._opening import atomic_path
 
@@ -698,7 +697,7 @@ class TestDirectory:
         def refused(*_, **__):
             raise sqlite3.OperationalError("unable to open database file")
 
-        monkeypatch.setattr(store_module.sqlite3, "connect", refused)
+        monkeypatch.setattr(sqlite3, "connect", refused)
         with pytest.raises(OSError, match=r"cannot write to .*sqlite; .* unable to open database"):
             sweep(Numbers(), None, tmp_path / "run")
 

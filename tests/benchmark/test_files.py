@@ -14,7 +14,7 @@ from scope_models.benchmark import (
     score_light_curves,
     summarize_scores,
 )
-from scope_models.benchmark._scores import score_places
+from scope_models.benchmark.files import score_places
 from scope_models.cli import main
 
 QUIET = {"progress": False}

@@ -6,8 +6,8 @@ from astropy.stats import mad_std
 from scipy.integrate import dblquad
 
 from scope_models.benchmark import REGIMES, SkyRegime, make_sky, score
-from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
-from scope_models.benchmark._scores import score_light_curve
+from scope_models.benchmark.files import score_light_curve
+from scope_models.benchmark.sky import bleed, make_psf, make_response, render
 from scope_models.effects._noise import red_noise
 from scope_models.scene.motion import K2Roll
 
