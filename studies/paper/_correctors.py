@@ -103,17 +103,17 @@ def curves(part, **further):
     return {label: (mag, np.array(part[name])) for name, label in names.items()}
 
 
-def noise_of(corrector, observation, width=13):
+def noise_of(corrector, flux, expected, width=13):
     """Score the last correction by a PLDCorrector of a star without signal and flagged cadences.
 
-    CDPP in ppm, "raw", "pld" and "floor", that of the noise alone, and "residual", the ratio of the
-    last two, each followed by the convention. Mean residuals of windows of `width` cadences that
-    the model has not seen: "held_out_mad" and "held_out_rms", their scatter over that of the noise,
-    which is white (it is better known from all cadences), and "held_out_pull", in units of their
-    predicted errors.
+    `flux` are its pixels, and `expected` those without noise. CDPP in ppm, "raw", "pld" and
+    "floor", that of the noise alone, and "residual", the ratio of the last two, each followed by
+    the convention. Mean residuals of windows of `width` cadences that the model has not seen:
+    "held_out_mad" and "held_out_rms", their scatter over that of the noise, which is white (it is
+    better known from all cadences), and "held_out_pull", in units of their predicted errors.
     """
     mask = corrector.aperture_mask
-    expected, flux = (c[:, mask].sum(axis=1) for c in (observation.model(), observation.flux))
+    flux, expected = (cube[:, mask].sum(axis=1) for cube in (flux, expected))
     noise = (flux - expected) / np.median(expected)
     means, errors, used = corrector.held_out(width)
     floor = np.std(noise[used]) / np.sqrt(width)

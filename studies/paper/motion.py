@@ -71,7 +71,8 @@ def measure(study, task):
     corrector = PLDCorrector(tpf)
     corrector.correct(order=study.order)
     aperture = corrector.aperture_mask
-    row = {"pixels": int(aperture.sum())} | noise_of(corrector, observation)
+    row = {"pixels": int(aperture.sum())}
+    row |= noise_of(corrector, observation.flux, observation.model())
     settings = {}
     for name in list(TITLES)[1:]:
         if getattr(study, name):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from _correctors import score
+from _correctors import noise_of
 from _study import cells
 from astropy.table import Table
 from motion import MotionTest, measure, tasks
@@ -14,7 +14,7 @@ from scope_models.photometry import cdpp
 def test_score_of_a_star(star, corrected):
     mask = corrected.aperture_mask
     noise = star.noise[:, mask].sum(axis=1) / np.median(star.expected[:, mask].sum(axis=1))
-    scores = score(corrected, noise)
+    scores = noise_of(corrected, star.expected + star.noise, star.expected)
     # 30 windows: the scatter is known to 13 percent, and what is left of the noise to 10
     assert 0.6 < scores["held_out_mad"] < 1.4
     assert 0.7 < scores["held_out_rms"] < 1.3
