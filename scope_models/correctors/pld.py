@@ -202,9 +202,9 @@ class PLDCorrector(Corrector):
             Pixel fractions as a model of the star, its motion, focus and background predicts them,
             with what pixels show beyond it as further regressors, or as they are measured, which
             follow the star where other light is in the aperture.
-            ``pld_aperture_mask``, background as a regressor, fewer than 4 pixels, a star that is at
-            too many places for its cadences, and a moving aperture over full pixels allow measured
-            ones only.
+            ``pld_aperture_mask``, background as a regressor, a stamp of five pixels or fewer, a
+            star that is at too many places for its cadences, and a moving aperture over full pixels
+            allow measured ones only.
         regressors : object or list, optional
             Further columns: arrays ``(n_cadences,)`` or ``(n_cadences, n)``, lightkurve's design
             matrices, its cotrending basis vectors and target pixel files of other stars (or their

@@ -343,10 +343,7 @@ def integrate_density(term, points, evaluate=None):
 
     scale = min((factor.scale for factor in term.densities), default=1.0)
     n = min(gaussian_nodes(min(scale, sigma or scale), 0), _MOST_NODES)
-    squares = integrand, np.arange(image.size), np.zeros(image.size), np.zeros(image.size), 1.0, n
-    totals = _rule(*squares)
-    tolerance = _TOLERANCE * np.bincount(image, np.abs(totals))[image]
-    integrals = _refined(*squares, totals, tolerance)
+    integrals = _converged(integrand, image, n)
     integrals = integrals.reshape(near.size**2, *lead, *points.shape).sum(axis=0)
     return integrals if units[-1] is None else integrals * units[-1]
 
@@ -480,50 +477,55 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     return reduce(add, (integrate_term(term, points, method) for term in terms))
 
 
-def _rule(integrand, index, corner_u, corner_v, size, n):
+def _rule(integrand, index, center_u, center_v, size, n):
     """Integrals over squares of one size by a rule of n times n nodes."""
     nodes, weights = gauss_legendre(n)
     result = np.empty(index.size)
     step = max(1, _CHUNK // n**2)
     for start in range(0, index.size, step):
         part = slice(start, start + step)
-        u = (corner_u[part, np.newaxis] + size * nodes)[:, np.newaxis, :]
-        v = (corner_v[part, np.newaxis] + size * nodes)[:, :, np.newaxis]
+        u = (center_u[part, np.newaxis] + size * nodes)[:, np.newaxis, :]
+        v = (center_v[part, np.newaxis] + size * nodes)[:, :, np.newaxis]
         values = np.broadcast_to(integrand(u, v, index[part]), (u.shape[0], n, n))
         result[part] = (values @ weights) @ weights
     return result * size**2
 
 
-def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, depth=0):
-    """Improve the integrals of ``integrand(u, v, index)`` over squares until their rules agree.
+def _converged(integrand, image, n):
+    """Integrals of ``integrand(u, v, index)`` over pixels of images of these numbers ``(m,)``.
 
-    The offsets from the centers of the pixels ``index`` ``(m,)`` are u, ``(m, 1, k)``, and v,
-    ``(m, k, 1)``. Where two rules differ by more than the tolerance, the number of nodes grows by
+    The offsets from the centers of the pixels ``index`` ``(k,)`` are u, ``(k, 1, n)``, and v,
+    ``(k, n, 1)``. Where two rules differ by more than the tolerance, the number of nodes grows by
     half, and beyond 48 per axis the square is cut into quarters.
     """
-    values = values.copy()
-    active = np.arange(index.size)
-    while active.size and n < _MOST_NODES:
-        # From odd to even and back: two even rules agree on a step near their common center.
-        n += int(n * _GROWTH - n) // 2 * 2 + 1
-        better = _rule(integrand, index[active], corner_u[active], corner_v[active], size, n)
-        change = np.abs(better - values[active])
-        values[active] = better
-        active = active[~(change <= tolerance[active])]
-    if active.size == 0:
-        return values
-    if depth == _DEPTH or not np.all(np.isfinite(values[active])):
+    index, size, integrals = np.arange(image.size), 1.0, np.zeros(image.size)
+    center_u, center_v = np.zeros((2, image.size))
+    for depth in range(_DEPTH + 1):
+        values = _rule(integrand, index, center_u, center_v, size, n)
+        if depth == 0:
+            tolerance = _TOLERANCE * np.bincount(image, np.abs(values))[image]
+        active = np.arange(index.size)
+        while active.size and n < _MOST_NODES:
+            # From odd to even and back: two even rules agree on a step near their common center.
+            n += int(n * _GROWTH - n) // 2 * 2 + 1
+            better = _rule(integrand, index[active], center_u[active], center_v[active], size, n)
+            change = np.abs(better - values[active])
+            values[active] = better
+            active = active[~(change <= tolerance[active])]
+        cut = active.size and depth < _DEPTH and np.isfinite(values[active]).all()
+        if cut:
+            values[active] = 0
+        integrals += np.bincount(index, values, integrals.size)
+        if not cut:
+            break
+        index, tolerance = np.tile(index[active], 4), np.tile(tolerance[active] / 2, 4)
+        center_u, center_v = (
+            np.concatenate([center[active] + sign * size / 4 for sign in signs])
+            for center, signs in ((center_u, (-1, -1, 1, 1)), (center_v, (-1, 1, -1, 1)))
+        )
+        size, n = size / 2, max(8, _MOST_NODES // 4)
+    if active.size:
         which = f"the integral over {np.unique(index[active]).size} pixels"
         message = f"{which} has not converged: the model is not smooth there"
-        warnings.warn(message, IntegrationWarning, stacklevel=5)
-        return values
-    first = max(8, _MOST_NODES // 4)
-    values[active] = 0
-    for du in (-0.25, 0.25):
-        for dv in (-0.25, 0.25):
-            u, v = corner_u[active] + du * size, corner_v[active] + dv * size
-            inside = index[active], u, v, size / 2, first
-            quarter = _rule(integrand, *inside)
-            accuracy = quarter, tolerance[active] / 2, depth + 1
-            values[active] += _refined(integrand, *inside, *accuracy)
-    return values
+        warnings.warn(message, IntegrationWarning, stacklevel=6)
+    return integrals

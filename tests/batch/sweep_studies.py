@@ -78,10 +78,10 @@ class UnpicklableError(Exception):
 
 def write_rows(folder, numbers):
     """Write stars of a Parquet data set, as a worker of `detrend_files` does."""
-    from scope_models.batch.results import partition, write_star
+    from scope_models.batch.results import DATA_SET, write_star
 
     for n in numbers:
         key, time = f"star{n:05d}", np.arange(20.0) + n
         curve = np.rec.fromarrays([time, 2 * time], dtype=[("TIME", "f8"), ("FLUX", ">f4")])
-        output = partition(f"c{n % 4:02d}", str(n % 10), key)
+        output = f"{DATA_SET}/campaign=c{n % 4:02d}/channel={n % 10}/{key}.parquet"
         write_star(Path(folder) / output, {"key": key, "output": output, "mag": n / 1e3}, curve)

@@ -287,8 +287,9 @@ def test_a_step_within_a_pixel_converges_or_warns():
     expected = np.outer([0, 0.25, 1, 0.25, 0], [0, 0.25, 1, 0.25, 0])
     np.testing.assert_allclose(image, expected, atol=1e-12)
     odd = Box2D(1.0, 2.0, 2.0, x_width=1.37, y_width=1.5)
-    with pytest.warns(IntegrationWarning, match="has not converged"):
+    with pytest.warns(IntegrationWarning, match="over 6 pixels has not converged") as caught:
         image = integrate_pixels(odd, shape=(5, 5))
+    assert [warning.filename for warning in caught] == [__file__]
     assert image.sum() == pytest.approx(1.37 * 1.5, abs=1e-3)
 
 
