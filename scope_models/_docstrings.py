@@ -39,15 +39,23 @@ numpy.ndarray
 
 
 def documented(**parts):
-    """Decorate a function, or a class and its methods, with ``{name}`` for shared parts in docs."""
+    """Decorate a function, or a class and its methods, with ``{name}`` for shared parts in docs.
+
+    Of a function its documentation after the first paragraph is shared.
+    """
 
     def complete(decorated):
         for item in (decorated, *(vars(decorated).values() if inspect.isclass(decorated) else ())):
             if item is decorated or inspect.isfunction(item):
                 text = inspect.cleandoc(item.__doc__ or "") + "\n"
                 for name, part in (_SHARED | parts).items():
-                    text = text.replace(f"{{{name}}}", part.strip())
+                    whole = part if isinstance(part, str) else _after_summary(part)
+                    text = text.replace(f"{{{name}}}", whole.strip())
                 item.__doc__ = text
         return decorated
 
     return complete
+
+
+def _after_summary(function):
+    return (inspect.getdoc(function) or "").partition("\n\n")[2]

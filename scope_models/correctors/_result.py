@@ -9,7 +9,6 @@ from astropy.table import QTable
 from scipy import ndimage
 
 from scope_models._checks import checked_cadences, checked_integer
-from scope_models._docstrings import documented
 from scope_models._threads import one_thread
 from scope_models._values import html_table
 from scope_models.correctors._light import (
@@ -27,7 +26,7 @@ from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smooth import TRANSIT
 from scope_models.pixelmodel._star import MISFIT
 
-__all__ = ["FIT_TRANSIT", "HELD_OUT", "PLDFit"]
+__all__ = ["PLDFit"]
 
 #: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
 #: that measured fractions explain; and the noise's variance over FLUX_ERR squared.
@@ -52,59 +51,6 @@ _NUMBERS = (
     "noise_scale", "jitter", "trend_sigma", "trend_period", "frequencies", "log_likelihood",
     "n_used", "n_outliers", "window", "breaks",
 )  # fmt: skip
-
-
-# What methods of the corrector and of the fit have in common.
-FIT_TRANSIT = """The amplitude of the model is fitted jointly with the systematics and the long-term
-variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
-those of ``transit_mask`` that are no outliers from the model with the transit.
-
-Then the transit is taken out of the star's light in the pixels, and everything is
-done again, up to three times: what the fit still finds is the response of the chain, pixel
-fractions and all. The amplitude is the one that leaves no transit in the fit. It is relative to
-all light in the aperture, less that of neighbors that was taken off.
-
-Parameters
-----------
-transit_model : array_like or callable
-    As in `PLDCorrector.correct`.
-
-Returns
--------
-scale, error : float
-    Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
-    cadence samples the event.
-
-Warns
------
-DetrendingWarning
-    If the transits were neither masked nor fitted jointly.
-"""
-HELD_OUT = """The hyper-parameters stay as they are; the coefficients and the long-term variability
-are inferred again for each window from all others, in closed form.
-
-Parameters
-----------
-width : int, optional
-    Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
-cadences : array_like of bool, optional
-    Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
-    compared on the same ones, with what each of them left out as an outlier.
-
-Returns
--------
-residual : `~numpy.ndarray`
-    Mean of measured minus predicted relative flux, per window.
-error : `~numpy.ndarray`
-    Its expected standard deviation: noise and model.
-used : `~numpy.ndarray`
-    Indices of the cadences, which are the windows one after the other.
-
-Raises
-------
-ValueError
-    If there are fewer cadences than two windows, or ``cadences`` cannot be used.
-"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -604,12 +550,34 @@ class PLDFit:
             again = type(model).from_pixels(pixels, options, source.series, source.cadence_mask)
             return again.fit(self.cadence_mask, self.transit_mask, self.transit_model)
 
-    @documented(fit_transit=FIT_TRANSIT)
     def fit_transit(self, transit_model):
         """
         Measure the depth of a transit with all uncertainties of the correction.
 
-        {fit_transit}
+        The amplitude of the model is fitted jointly with the systematics and the long-term
+        variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
+        those of ``transit_mask`` that are no outliers from the model with the transit.
+
+        Then the transit is taken out of the star's light in the pixels, and everything is done
+        again, up to three times: what the fit still finds is the response of the chain, pixel
+        fractions and all. The amplitude is the one that leaves no transit in the fit. It is
+        relative to all light in the aperture, less that of neighbors that was taken off.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable
+            As in `PLDCorrector.correct`.
+
+        Returns
+        -------
+        scale, error : float
+            Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
+            cadence samples the event.
+
+        Warns
+        -----
+        DetrendingWarning
+            If the transits were neither masked nor fitted jointly.
         """
         column = transit_column(transit_model, self.model.pixels.time)
         usable = self.model.pixels.usable
@@ -649,12 +617,34 @@ class PLDFit:
         return float(scale), float(error)
 
     @one_thread
-    @documented(held_out=HELD_OUT)
     def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
-        {held_out}
+        The hyper-parameters stay as they are; the coefficients and the long-term variability are
+        inferred again for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+        cadences : array_like of bool, optional
+            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
+            compared on the same ones, with what each of them left out as an outlier.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+        used : `~numpy.ndarray`
+            Indices of the cadences, which are the windows one after the other.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer cadences than two windows, or ``cadences`` cannot be used.
         """
         chosen, usable = self.used, self.model.pixels.usable
         if cadences is not None:

@@ -23,7 +23,7 @@ from scope_models.correctors._pixels import (
     noise_ratios,
     warn_of_pipeline,
 )
-from scope_models.correctors._result import FIT_TRANSIT, HELD_OUT
+from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
@@ -361,7 +361,7 @@ class PLDCorrector(Corrector):
         fitted = self._fitted()
         return _to_collection(self.model.design_matrix(fitted.used), fitted.prior_variance)
 
-    @documented(fit_transit=FIT_TRANSIT)
+    @documented(fit_transit=PLDFit.fit_transit)
     def fit_transit(self, transit_model):
         """
         Measure the depth of a transit, with all uncertainties of the last correction.
@@ -371,7 +371,7 @@ class PLDCorrector(Corrector):
         with one_thread, solvable():
             return self._fitted().fit_transit(transit_model)
 
-    @documented(held_out=HELD_OUT)
+    @documented(held_out=PLDFit.held_out)
     def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
