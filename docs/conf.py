@@ -46,7 +46,7 @@ nitpick_ignore_regex = [
     (r"py:obj", r"[a-z_]+|ID"),
     # type hints; base classes that are not public
     (r"py:class", r"Model|SkyCoord|tuple\[float|abc.ABC|scope_models\.(\w+\.)*_.*"),
-    (r"py:class", r"scope_models\.(\w+\.)*SkyEffect"),
+    (r"py:class", r"scope_models\.(\w+\.)*(SkyEffect|StarModel)"),
 ]
 
 # Links to other packages need their inventories from the network: on where the site is published,

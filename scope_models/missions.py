@@ -1,6 +1,7 @@
 """The missions: every number and name that a mission fixes, once.
 
-The docstrings of `Detector.kepler` and `Detector.tess` have the sources of numbers without one.
+The docstrings of `Detector.kepler <scope_models.Detector.kepler>` and `Detector.tess
+<scope_models.Detector.tess>` have the sources of numbers without one.
 """
 
 import math
