@@ -168,6 +168,11 @@ class BivariateGaussianPSF(StarModel):
     ValueError
         If a parameter is not finite, sigma_x or sigma_y is not positive, or ``|rho| >= 1``.
 
+    Notes
+    -----
+    A sum of several is a PSF of several components. Parameters of shape ``(n,)`` make
+    `~scope_models.integrate_pixels` return ``n`` images.
+
     References
     ----------
     Saunders, Luger & Barnes 2019, arXiv:1903.09629, equation 3 (corrected).

@@ -426,6 +426,11 @@ class K2Roll(Pointing):
     pixel_scale : float or Quantity
         Size of a pixel, arcsec.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is no number, not finite, or negative or zero where that means nothing.
+
     References
     ----------
     .. [1] Howell, S. B. et al. 2014, PASP, 126, 398; Van Cleve, J. E. et al. 2016, PASP, 128,
