@@ -11,11 +11,8 @@ import numpy as np
 from astropy.modeling import Model
 from astropy.table import QTable
 
-# The classes are attributes of the package when they are needed: their modules import this one.
-from scope_models import scene as kinds
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_choice
-from scope_models._docstrings import documented
 from scope_models._values import value_key
 from scope_models.effects import Effect
 from scope_models.io import read_truth
@@ -31,10 +28,15 @@ from scope_models.models._description import (
     packed,
     unpacked,
 )
+from scope_models.scene.common import CommonMotion
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.presets import PRESETS
+from scope_models.scene.scene import Scene, Star
 
 __all__ = [
-    "describe_detector", "describe_scene", "make_detector", "read", "read_detector", "read_scene",
-    "scene_columns", "write",
+    "describe_detector", "describe_scene", "make_detector", "read_detector", "read_object",
+    "read_scene", "scene_columns", "write_object",
 ]  # fmt: skip
 
 _VERSION = 3
@@ -73,7 +75,7 @@ def read_scene(path):
         detector = make_detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
         effects = [_make_effect(effect) for effect in described["effects"]]
-        return kinds.Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
+        return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
 
 
 def read_detector(path):
@@ -137,9 +139,7 @@ def _read_motion(path):
         table = QTable.read(text.splitlines(), format="ascii.ecsv")
         columns = [table[name] for name in ("time", "x", "y")]
         flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
-        return kinds.Motion(
-            *columns, *flags, table.meta["time_format"], table.meta.get("motion") or {}
-        )
+        return Motion(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
     except (LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a table of a motion: {error}") from error
 
@@ -149,66 +149,27 @@ def _is_fits(path):
         return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
 
 
-def read(cls, path):
-    """Read a scene, a detector or a motion, as the class says.
-
-    Parameters
-    ----------
-    path : str or path-like
-        A file of `write`, or a target pixel file of this package. A detector may also be in TOML:
-        see `~scope_models.read_detector`. A motion may also be in ECSV with the columns time, x, y,
-        quality and cadenceno, and with time_format in its header.
-
-    Returns
-    -------
-    Scene, Detector or Motion
-        The object, equal to the written one.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be opened.
-    ValueError
-        If it holds no such object.
-
-    Examples
-    --------
-    >>> from scope_models import Motion
-    >>> Motion.read(Motion.still(3).write("still.fits")).x
-    array([0., 0., 0.])
-    """
-    if issubclass(cls, kinds.Scene):
+def read_object(kind, path):
+    """Return the scene, the detector or the motion, a class, of a file."""
+    if issubclass(kind, Scene):
         return read_scene(path)
-    return read_detector(path) if issubclass(cls, kinds.Detector) else _read_motion(path)
+    return read_detector(path) if issubclass(kind, Detector) else _read_motion(path)
 
 
-@documented()
-def write(self, path, overwrite=False):
-    """Write the object, as it is, as .fits or .fits.gz; ``read`` of its class reads it.
-
-    Parameters
-    ----------
-    {write}
-
-    Examples
-    --------
-    >>> from scope_models import Detector
-    >>> detector = Detector.k2()
-    >>> Detector.read(detector.write("detector.fits")) == detector
-    True
-    """
+def write_object(value, path, *, overwrite):
+    """Write a scene, a detector or a motion; return the path."""
     from astropy.io import fits
 
-    if isinstance(self, kinds.Detector):
-        described = {"version": _VERSION, "detector": describe_detector(self)}
-        blocks = scene_blocks(_maps(self), described)
-    elif isinstance(self, kinds.Motion):
-        described = {"version": _VERSION, "motion": _describe_motion(self)}
-        blocks = truth_blocks(self.cadenceno, _motion_columns(self), {}, described, None)
+    if isinstance(value, Detector):
+        described = {"version": _VERSION, "detector": describe_detector(value)}
+        blocks = scene_blocks(_maps(value), described)
+    elif isinstance(value, Motion):
+        described = {"version": _VERSION, "motion": _describe_motion(value)}
+        blocks = truth_blocks(value.cadenceno, _motion_columns(value), {}, described, None)
     else:
-        motion, maps = self.motion, _maps(self.detector)
-        columns = scene_columns(self, [star.relative_flux(motion.time) for star in self.stars])
-        blocks = truth_blocks(motion.cadenceno, columns, maps, describe_scene(self), None)
+        motion, maps = value.motion, _maps(value.detector)
+        columns = scene_columns(value, [star.relative_flux(motion.time) for star in value.stars])
+        blocks = truth_blocks(motion.cadenceno, columns, maps, describe_scene(value), None)
     hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
@@ -233,7 +194,7 @@ def _making(path, described, what):
 
 def _motion(truth):
     table, described = truth.columns, truth.scene["motion"]
-    kind = kinds.CommonMotion if "place" in described else kinds.Motion
+    kind = CommonMotion if "place" in described else Motion
     further = {n: table[n.upper()] for n in (*kind.offsets_of[2:], *kind.errors_of)}
     return kind(
         table["TIME"], table["MOTION_X"], table["MOTION_Y"], table["QUALITY"].astype(np.int32),
@@ -281,7 +242,7 @@ def _motion_columns(motion):
 
 
 def _describe_motion(motion):
-    place = {"place": motion.place} if isinstance(motion, kinds.CommonMotion) else {}
+    place = {"place": motion.place} if isinstance(motion, CommonMotion) else {}
     return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)} | place
 
 
@@ -312,21 +273,21 @@ def make_detector(described, maps):
     models = {name: make_model(described[name]) for name in ("sensitivity", "psf")}
     effects = [_make_effect(effect) for effect in described["effects"]]
     interpixel = maps["INTERPIXEL"] if described["interpixel"] else None
-    return kinds.Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
+    return Detector(**(described | models | {"interpixel": interpixel, "effects": effects}))
 
 
 def _star(described, number, table):
     is_array = described["signal"] is True
     signal = table[f"SIGNAL{number}"] if is_array else make_model(described["signal"] or None)
     psf, coord = make_model(described["psf"]), make_coord(described.get("coord"))
-    return kinds.Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
+    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
 
 
 def _detector_of_toml(values):
     preset = values.pop("preset", None)
     if preset is not None:
-        checked_choice("preset", preset, kinds.PRESETS)
-    known = {item.name for item in fields(kinds.Detector)} | ({"cadence"} if preset else set())
+        checked_choice("preset", preset, PRESETS)
+    known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
     for name in values:
         if name not in known:
             raise ValueError(f"`{name}` is not a field of a detector")
@@ -339,7 +300,7 @@ def _detector_of_toml(values):
         values["sensitivity"] = None
     elif "sensitivity" in values:
         values["sensitivity"] = _combined(values, "sensitivity", mul, "SensitivityPolynomial")
-    return kinds.Detector.preset(preset, **values) if preset else kinds.Detector(**values)
+    return Detector.preset(preset, **values) if preset else Detector(**values)
 
 
 def _combined(values, name, combine, default=None):

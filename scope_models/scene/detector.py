@@ -23,7 +23,7 @@ from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, choose_cadence, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import model_in_pixels
-from scope_models.scene import _files, presets
+from scope_models.scene import _storage, presets
 
 if TYPE_CHECKING:
     from astropy.modeling import Model
@@ -558,7 +558,7 @@ class Detector(Value):
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
-    read, write = classmethod(_files.read), _files.write
+    read, write = classmethod(_storage.read), _storage.write
 
     def without_sensitivity(self):
         """Return the same detector with pixels that all respond alike, and evenly within.

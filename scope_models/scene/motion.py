@@ -24,7 +24,7 @@ from scope_models.io.pixels import (
     usable_positions,
 )
 from scope_models.missions import MISSIONS, TIME_ZEROS
-from scope_models.scene import _files
+from scope_models.scene import _storage
 from scope_models.scene._pointing import (
     FailingWheels,
     GroundTracking,
@@ -709,7 +709,7 @@ class Motion(Value):
         label = {"time_label": f"Time ({self.time_format.upper()})"}
         return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
 
-    read, write = classmethod(_files.read), _files.write
+    read, write = classmethod(_storage.read), _storage.write
 
     def statistics(self, pixel_scale=_K2.pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.

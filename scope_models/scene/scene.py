@@ -27,7 +27,7 @@ from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.models import PRF, PRFGrid
 from scope_models.models._description import check_coord, sky_place
 from scope_models.models._series import unit_images
-from scope_models.scene import _files
+from scope_models.scene import _storage
 from scope_models.scene.catalog import star_counts
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -398,7 +398,7 @@ class Scene(Value):
         mags = [star.mag for star in self.stars]
         return plot_scene(motion.time, x, y, shape, positions, mags, time_label=label, ax=ax)
 
-    read, write = classmethod(_files.read), _files.write
+    read, write = classmethod(_storage.read), _storage.write
 
 
 def _places(scene):
