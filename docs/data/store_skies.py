@@ -1,7 +1,8 @@
-"""Store what a page shows of a study: ``python docs/data/store_skies.py NAME RESULTS``.
+"""Store what a page shows of a study: ``python docs/data/store_skies.py NAME RESULTS [OPTIONS]``.
 
 NAME is "tess", "breathing", "last-campaigns", "ground" or "recovery", RESULTS the directory of its
-script in ``studies/paper``. Written are, beside this file, the summary and the tables of the page.
+script in ``studies/paper``, which ran with these options. Written are, beside this file, the
+summary and the tables of the page.
 """
 
 import csv
@@ -60,13 +61,13 @@ def tables(name, summary):
     return found
 
 
-def main(name, results):
-    """Write the tables."""
+def main(name, results, *options):
+    """Write the tables of a study with these options."""
     summary = Table.read(Path(results, "summary.ecsv"))
     for column in summary.colnames:
         if summary[column].dtype.kind == "f":
             summary[column][:] = [float(f"{value:.5g}") for value in np.array(summary[column])]
-    stamp(summary, f"python studies/paper/{name.replace('-', '_')}.py")
+    stamp(summary, " ".join([f"python studies/paper/{name.replace('-', '_')}.py", *options]))
     summary.write(FOLDER / f"{name}.ecsv", overwrite=True)
     for part, rows in tables(name, summary).items() if name in COLUMNS else ():
         with (FOLDER / f"{name}_{part}.csv").open("w", newline="", encoding="utf-8") as file:
