@@ -115,7 +115,7 @@ class Target:
     """A simulated star, its neighbors and its pixels.
 
     `generate_target` makes it. Additions leave the noise of all else as it was. Attributes may be
-    changed: the next look at the pixels simulates them anew. Methods raise ValueError if an
+    changed: the next look at the pixels simulates them again. Methods raise ValueError if an
     argument is outside its domain, and TypeError if an option is misspelled.
 
     Parameters

@@ -327,7 +327,7 @@ def _of_models(response, tried, solution, fit):
 def _with_response(solution, steps, n_cadences):
     """Return the fit with a response within pixels if so many cadences measure it.
 
-    Else it cannot be told from the width, and the flux would be uncertain.
+    Else it cannot be distinguished from the width, and the flux would be uncertain.
     """
     guess = len(solution.problem.flux) < n_cadences
     own = {"n_steps": solution.n_steps, "max_steps": _MANY_STEPS}

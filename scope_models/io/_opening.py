@@ -3,10 +3,13 @@
 import gzip
 import io
 import os
+import platform
 import secrets
 import shutil
 import warnings
+import zlib
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,6 +39,7 @@ _SMALL = 64 << 20
 MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
 _PREFIX = ".scope-models-"
+_MACHINE = f"{zlib.crc32(platform.node().encode()):08x}"  # numbers of processes are its own
 _POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
 NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
@@ -286,7 +290,9 @@ def atomic_path(path, *, overwrite=False):
     that appears meanwhile is kept, too. Errors are an OSError that names the file.
     """
     target = check_output(path, overwrite=overwrite)
-    temporary = target.with_name(_PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:]))
+    _remove_orphans(target.parent)
+    name = f"{_PREFIX}{_MACHINE}-{os.getpid()}-{secrets.token_hex(8)}"
+    temporary = target.with_name(name + "".join(target.suffixes[-2:]))
     try:
         yield temporary
         if not overwrite:
@@ -300,6 +306,18 @@ def atomic_path(path, *, overwrite=False):
         raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@cache  # a folder may have many files: once is enough
+def _remove_orphans(folder):
+    """Remove what processes of this machine that were killed have left in a folder."""
+    found = folder.glob(f"{_PREFIX}{_MACHINE}-*") if os.name == "posix" else ()  # has signal 0
+    for path in found:
+        with suppress(OSError):
+            try:
+                os.kill(int(path.name.split("-")[3]), 0)
+            except ProcessLookupError:
+                path.unlink()
 
 
 def remove_temporaries(folder):

@@ -150,6 +150,30 @@ for digit in "123456789" * 20:
 """
 
 
+HALF = """
+import os, sys
+from scope_models.io._opening import atomic_path
+with atomic_path(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    os._exit(9)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_what_killed_writers_leave_is_removed_and_live_ones_go_on(tmp_path):
+    def kill(name):
+        subprocess.run([sys.executable, "-c", HALF, str(tmp_path / name)], check=False)
+
+    with atomic_path(tmp_path / "live.txt") as temporary:
+        temporary.write_text("half")
+        kill("a.txt")
+        assert len(names(tmp_path)) == 2
+        kill("b.txt")  # removes what the first one left
+        assert len(names(tmp_path)) == 2
+        assert temporary.exists()
+    assert names(tmp_path)[1:] == ["live.txt"]
+
+
 def test_readers_see_whole_files_only(tmp_path):
     path = tmp_path / "a.txt"
     save(path, "0" * 100_000)
