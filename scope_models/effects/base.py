@@ -216,8 +216,8 @@ class Effect(Value):
     5. calibration (not in RAW_CNTS), in reverse order: `calibrate`;
     6. `quality` and `missing` of the cadences.
 
-    Within a stage effects act in the order of their `place`; only those of one class act in the
-    order given. ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
+    Within a stage the order given does not matter: effects act by `place`, then name, then
+    parameters. ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
 
     Examples
     --------
@@ -236,7 +236,7 @@ class Effect(Value):
 
     #: Whether the pedestal is light, to which the pixels respond.
     is_light = True
-    #: Place among the effects of a stage; those of one place act in the order of their names.
+    #: Place among the effects of a stage.
     place = 0
 
     def __init_subclass__(cls, **options):

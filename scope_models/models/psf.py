@@ -130,7 +130,6 @@ def check_model_parameters(model):
 
 
 def _width(axis):
-    """Return the parameter of a width."""
     text = f"Standard deviation along {axis} (pixel)"
     parameter = Parameter(default=0.5, bounds=(_LEAST_WIDTH, None), description=text)
     return parameter.validator(partial(check_domain, f"sigma_{axis}", "positive"))

@@ -2,12 +2,14 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import dataclass, fields
+from functools import partial, reduce
 
 import numpy as np
 from tqdm import tqdm
 
+from scope_models._arrays import plain_tree
+from scope_models._values import value_key
 from scope_models.effects._noise import bleed, stream
 from scope_models.effects.base import Conditions, Exposures
 from scope_models.models._gaussian import ROWS
@@ -86,7 +88,7 @@ def prepare(scene):
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
     given = (*scene.detector.effects, *scene.effects)
-    for effect in sorted(given, key=lambda effect: (effect.place, effect.name)):
+    for effect in sorted(given, key=partial(_order, scene)):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
@@ -94,6 +96,11 @@ def prepare(scene):
     positions = scene.positions
     lights = _star_lights(scene, positions, conditions, effects)
     return Prepared(scene, conditions, effects, lights, interpixel, positions)
+
+
+def _order(scene, effect):
+    values = () if scene.listed else [getattr(effect, item.name) for item in fields(effect)]
+    return effect.place, effect.name, repr(plain_tree(values, value_key))
 
 
 def results_of(effects, method, *arguments):
@@ -141,7 +148,6 @@ def _product(factors):
 
 
 def _checked(noun, factor, low=0.0):
-    """Return the factor of all effects, which must be finite and have no smaller value."""
     if factor is not None and not np.all(np.isfinite(factor) & (factor >= low)):
         raise ValueError(
             f"the relative {noun} must be finite and at least {low:g}, "
@@ -188,7 +194,6 @@ def gather(prepared, cadences, sums=None, aperture=None):
 
 
 def _response(prepared, cadences):
-    """Return the factor of all effects on the light in some cadences, or None."""
     return _product(results_of(prepared.effects, "response", prepared.conditions, cadences))
 
 

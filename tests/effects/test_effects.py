@@ -106,14 +106,35 @@ def test_switching_one_off_leaves_the_truth_of_the_others(name):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_order_given_does_not_matter(seed):
-    each = list({type(effect): effect for effect in EFFECTS.values()}.values())
+    seconds = Jitter(0.05), BrighterFatter(0.05), RollingBands(5.0), CosmicRays(10.0), CosmicRays()
+    each = [*EFFECTS.values(), *seconds]  # several of one class, and two that are equal
     shuffled = [each[i] for i in np.random.default_rng(seed).permutation(len(each))]
     some, rest = tuple(shuffled[:4]), shuffled[4:]
     one = simulate(scene(*each))
     other = simulate(scene(*rest).replace(detector=Detector.k2(effects=some)))
-    assert one.truth.columns.keys() == other.truth.columns.keys()
+    for found, same in zip(one.truth.columns.items(), other.truth.columns.items(), strict=True):
+        assert found[0] == same[0]
+        assert np.array_equal(found[1], same[1], equal_nan=True)
     for cube in ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality"):
         assert np.array_equal(getattr(one, cube), getattr(other, cube), equal_nan=True)
+
+
+def test_equal_effects_have_random_numbers_of_their_own():
+    tables = simulate(scene(CosmicRays(), CosmicRays())).truth.tables
+    assert not np.array_equal(tables["COSMICRAYS"]["X"][:5], tables["COSMICRAYS_2"]["X"][:5])
+
+
+def test_effects_of_earlier_files_act_in_the_order_given(tmp_path, monkeypatch):
+    given = [RollingBands(rate) for rate in (3.0, 1.0)]
+    monkeypatch.setattr("scope_models.scene._files._VERSION", 3)
+    paths = [scene(*effects).write(tmp_path / f"{number}.fits")
+             for number, effects in enumerate((given, given[::-1], given[:1]))]  # fmt: skip
+    monkeypatch.undo()
+    one, other, single = map(read_scene, paths)
+    assert one == scene(*given, listed=True)
+    assert not np.array_equal(simulate(one).flux, simulate(other).flux)
+    assert single == scene(given[0])
+    assert read_scene(one.write(tmp_path / "again.fits")) == one
 
 
 def test_focus_widens_the_image_and_keeps_the_flux():
