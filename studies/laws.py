@@ -293,10 +293,13 @@ def write_page(docs, laws):
         rows += [(name, *(f"{value:.8g}" for value in row)) for row in table]
         texts, largest = TEXTS[name], np.abs(table["predicted"]).max()
         worst = np.abs(table["measured"] - table["predicted"]).max() / largest
+        large = np.abs(table["predicted"]) > (table["predicted"].min() <= 0) * largest / 100
+        ratio = table["measured"][large] / table["predicted"][large]
+        ratio = f"{np.median(ratio):.4f} ({ratio.min():.4f} to {ratio.max():.4f})"
         error = table["error"].max() / largest
         parts.append(BLOCK.format(
             **texts, name=name, line="-" * len(texts["title"]), worst=worst, n=len(table),
-            noise=f" (errors {error:.1g})" if error else "",
+            ratio=ratio, noise=f" (errors {error:.1g})" if error else "",
         ))  # fmt: skip
     Table(rows=rows, names=("law", *COLUMNS)).write(docs / "data" / "laws.csv", overwrite=True)
     (docs / "evaluation_laws.rst").write_text("\n".join(parts), encoding="utf-8")

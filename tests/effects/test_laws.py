@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 from laws import LAWS, TEXTS
 
-# More than half a second of a core.
-SLOW = {"cosmic_rays", "jitter_motion", "photon_transfer", "rejection", "scintillation"}
-
 
 def deviation(name, table):
     """Return differences over what may be, 4 errors and a tolerance; below 1 the law holds."""
@@ -14,9 +11,7 @@ def deviation(name, table):
     return np.abs(table["measured"] - table["predicted"]) / (4 * table["error"] + tolerance)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LAWS]
-)
+@pytest.mark.parametrize("name", LAWS)
 def test_law_holds(name, tmp_path):
     law = LAWS[name](tmp_path)
     assert len(law) >= 5
@@ -32,4 +27,5 @@ def test_every_law_is_on_the_page(repository):
         assert name in LAWS
         assert texts["equation"] in page
         assert f"make_{name}_figure" in page
+        assert f"{texts['source']}\n\nRatio of " in page
     assert len(TEXTS) == len(LAWS)
