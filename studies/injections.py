@@ -21,7 +21,7 @@ from _rows import FILES, arguments_of, store_rows, sweep_rows, write_csv
 from astropy.stats import mad_std
 from astropy.table import Table
 from paper._stars import draw_star, stamp_around
-from population import catalog, moved, neighbors, spotted
+from population import catalog, moved, neighbors, percentiles, spotted
 
 from scope_models import Detector, PLDCorrector, TransitModel, inject, simulate
 from scope_models.io import read_tpf
@@ -112,18 +112,21 @@ def real(task, *, data):
 
 
 def write_table(target, data, *tables):
-    """Write medians and scatters of recovered over true depths, EVEREST's and ours."""
+    """Write medians and scatters of recovered over true depths, and 1 + (run - control) / depth."""
     everest, _ = injected_stars(data)
     same = everest[np.isin(everest["epic"], tables[0]["epic"])]
     names = ("EVEREST 2, all", "EVEREST 2, same stars", "simulated stars", "two real stars")
-    rows = [["depth", "light curves", "number", *RUNS, "unmasked over control"]]
+    rows = [["depth", "light curves", "number", *RUNS, "unmasked, paired", "masked, paired"]]
     sets = list(zip(names, (everest, same, *tables), strict=False))
     for depth, (name, table) in product(DEPTHS, sets):
         part = table[np.isclose(table["depth"], depth)]
         ratios = [np.asarray(part[run]) / depth for run in RUNS]
-        ratios.append(ratios[1] / ratios[0])
+        masked = part["masked_control" if "masked_control" in part.colnames else "control"]
+        pairs = [1 + ratios[1] - ratios[0], 1 + ratios[2] - np.asarray(masked) / depth]
+        medians = [[n[1] for n in percentiles(p, np.random.default_rng(1))] for p in pairs]
         rows.append([f"{depth:g}", name, len(part),
-                     *(f"{np.median(r):.3f} ± {mad_std(r):.3f}" for r in ratios)])  # fmt: skip
+                     *(f"{np.median(r):.3f} ± {mad_std(r):.3f}" for r in ratios),
+                     *(f"{value:.4f} ± {error:.4f}" for value, error in medians)])  # fmt: skip
     write_csv(f"{target}.csv", rows)
 
 

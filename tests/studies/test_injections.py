@@ -45,3 +45,11 @@ def test_deep_transits_of_two_stars_survive(shared_data, tmp_path, monkeypatch):
     assert len(table) == 6
     assert table[3]["light curves"] == "EVEREST 2, all"
     assert table[3]["unmasked"].startswith("0.907")
+    everest = injected_stars(shared_data)[0]
+    part = everest[np.isclose(everest["depth"], 1e-3)]
+    for run, control in (("unmasked", "control"), ("masked", "masked_control")):
+        kept, error = map(float, table[3][f"{run}, paired"].split(" ± "))
+        differences = (part[run] - part[control]) / 1e-3
+        assert kept == pytest.approx(1 + np.median(differences), abs=1e-4)
+        picks = np.random.default_rng(1).integers(len(part), size=(200, len(part)))
+        assert error == pytest.approx(np.median(differences[picks], axis=1).std(), rel=0.2)
