@@ -4,11 +4,12 @@
     python studies/rrlyrae.py DATA stars.csv --table docs/data/rrlyrae
 
 DATA is the folder of shared data. A run goes on where it stopped; ``--workers 2`` shares it. Light
-curves are Fourier series in magnitudes. Ratios and phases of RRab stars are those of EPIC
-220198696, fitted to the light curve of campaign 8 in the tests of autoEAP, with a scatter;
-amplitudes are those of Kepler's (Nemec et al. 2011, MNRAS 417, 1022). RRc stars are rounded values
-of Kepler's (Moskalik et al. 2015, MNRAS 447, 2348). "Properly" is an amplitude within 3 % and an
-rms about the truth below 3 % of it; "clean" cadences are not flagged for rolling bands.
+curves are Fourier series in magnitudes; motions are those of the star's campaign. Ratios and phases
+of RRab stars are those of EPIC 220198696, fitted to the light curve of campaign 8 in the tests of
+autoEAP, with a scatter; amplitudes are those of Kepler's (Nemec et al. 2011, MNRAS 417, 1022). RRc
+stars are rounded values of Kepler's (Moskalik et al. 2015, MNRAS 447, 2348). "Properly" is an
+amplitude within 3 % and an rms about the truth below 3 % of it; "clean" cadences have no flag of
+rolling bands.
 """
 
 from functools import cache, partial
@@ -25,7 +26,7 @@ from population import catalog, moved
 from scope_models import Detector, PLDCorrector, Star, simulate
 from scope_models.missions import MISSIONS
 
-LIMIT = 0.03
+LIMIT, FIRST_DAYS = 0.03, {3: 2144, 4: 2229}  # of campaigns, BKJD
 COLUMNS = ("epic", "kp", "kind", "period", "neighbor", "raw_amplitude", "raw_rms", "amplitude",
            "rms", "clean_amplitude", "clean_rms")  # fmt: skip
 rows_of = itemgetter(list(COLUMNS))
@@ -39,12 +40,13 @@ SHAPES = {
 
 @cache
 def real_stars(data):
-    """Return EPIC, magnitude (NaN where the tables have none) and judgments of the real stars."""
+    """Return EPIC, Kp, campaign (NaN where the tables have none) and judgments of real stars."""
     path, known = Path(data) / "k2_pipelines" / "everest_rrlyrae.tsv", catalog(data)
     names = ("epic", "everest2", "everest1", "k2sff", "k2sc")
     stars = Table.read(path, format="ascii", names=names, comment="#")
-    kp = dict(zip(known["epic"], known["kp"], strict=True))
-    stars["kp"] = [kp.get(epic, np.nan) for epic in stars["epic"]]
+    for name in ("kp", "campaign"):
+        values = dict(zip(known["epic"], known[name], strict=True))
+        stars[name] = [values.get(epic, np.nan) for epic in stars["epic"]]
     return stars
 
 
@@ -76,9 +78,11 @@ def observe(task, *, data, cadences):
     """Return the row of a star."""
     number = task["number"]
     rng, stars = np.random.default_rng([27, number]), real_stars(data)
-    kp, known = stars["kp"][number], stars["kp"][np.isfinite(stars["kp"])]
-    kp = float(kp if np.isfinite(kp) else known[rng.integers(len(known))])
-    motion = moved(rng, data, 1.0)[0][:cadences]
+    star, known = stars[number], stars[np.isfinite(stars["kp"])]
+    star = star if np.isfinite(star["kp"]) else known[rng.integers(len(known))]
+    kp, first_day = float(star["kp"]), FIRST_DAYS[star["campaign"]]
+    drawn = iter(partial(moved, rng, data, 1.0), None)  # of all campaigns
+    motion = next(one for one, *_ in drawn if round(one.time[0]) == first_day)[:cadences]
     good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     shape, x_0, y_0 = stamp_around(motion[good], 5)
     kind = "RRab" if rng.uniform() < 0.75 else "RRc"

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+import rrlyrae
 from astropy.table import Table
 from rrlyrae import LIMIT, SHAPES, main, pulsation, quality, real_stars
 
@@ -36,6 +37,22 @@ def test_stars_of_the_table(shared_data):
     assert len(stars) == 100
     assert np.isfinite(stars["kp"]).sum() == 64
     assert np.sum(stars["everest2"] == 1) == 66
+    assert (np.sum(stars["campaign"] == 3), np.sum(stars["campaign"] == 4)) == (41, 23)
+
+
+def test_motions_are_those_of_the_campaign(shared_data, monkeypatch):
+    class SeenError(Exception):
+        pass
+
+    def stop(*scene, **_):
+        raise SeenError(scene[2].time[0])
+
+    monkeypatch.setattr(rrlyrae, "simulate", stop)
+    campaigns = real_stars(shared_data)["campaign"]
+    for number in np.flatnonzero(np.isfinite(campaigns))[:8]:
+        with pytest.raises(SeenError) as found:
+            rrlyrae.observe({"number": number}, data=shared_data, cadences=100)
+        assert (2140 if campaigns[number] == 3 else 2225) < found.value.args[0] < 2230
 
 
 def test_two_stars_are_corrected(shared_data, tmp_path):
@@ -48,7 +65,8 @@ def test_two_stars_are_corrected(shared_data, tmp_path):
     assert np.all(table["rms"] < table["raw_rms"])
     (tmp_path / "rows.csv").unlink()  # as of a run that was interrupted
     main([*arguments, "--table", str(tmp_path / "stars")])
-    assert Table.read(tmp_path / "stars.ecsv")["rms"].tolist() == table["rms"].tolist()
+    stored = Table.read(tmp_path / "stars.ecsv")
+    assert stored["rms"].tolist() == table["rms"].tolist()
     with (tmp_path / "stars.csv").open() as file:
         counts = {row["stars"]: row["corrected"] for row in csv.DictReader(file)}
     assert (counts["all"], counts["alone"], counts["with a neighbor"]) == ("2", "1", "1")
