@@ -14,8 +14,9 @@ from scope_models.cli._batch import add_workers, client_of
 
 ROOT = Path(__file__).parents[1]
 sys.path += [str(ROOT / folder) for folder in ("docs/data", "studies/paper")]
-from _stamp import stamp  # noqa: E402 - a module beside the tables
+from _stamp import stamp, version  # noqa: E402 - a module beside the tables
 
+VERSIONS, UNKNOWN = "versions.txt", "unknown\n"  # of the package, and commits, that made rows
 #: Real target pixel files by the name of their star.
 FILES = {
     "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
@@ -43,9 +44,13 @@ def sweep_rows(options, measure, number, rows_of):
     `measure` is a partial function of a task; its keywords but the data are the configuration.
     """
     config = {name: value for name, value in measure.keywords.items() if name != "data"}
+    folder, made = options.file.with_suffix(""), options.file.with_suffix("") / VERSIONS
+    versions = made.read_text("utf-8") if made.exists() else UNKNOWN * folder.is_dir()
+    folder.mkdir(parents=True, exist_ok=True)
+    made.write_text(f"{versions}{version()}\n", encoding="utf-8")
     result = run_sweep(
         partial(quietly, measure), [{"key": f"star{n}", "number": n} for n in range(number)],
-        options.file.with_suffix(""), client_of(options), name=options.file.stem, config=config,
+        folder, client_of(options), name=options.file.stem, config=config,
         progress=sys.stderr.isatty(),
     )  # fmt: skip
     rows_of(result.table).write(options.file, format="ascii.csv", overwrite=True)
@@ -59,17 +64,20 @@ def quietly(measure, task):
 
 
 def store_rows(path, target, rows_of):
-    """Write the rows of a file as a table with date, version and command; return it.
+    """Write the rows of a file as a table with date, versions and command; return it.
 
-    Of a run that was interrupted they are those of the stars that are finished.
+    Of an interrupted run they are those of finished stars; versions are those of all its calls.
     """
+    made = path.with_suffix("") / VERSIONS
+    versions = (made.read_text("utf-8") if made.exists() else UNKNOWN).splitlines()
     if path.with_suffix("").is_dir():
         table = Table(read_results(path.with_suffix("")))
         table.sort("number")
         table = rows_of(table)
     else:
         table = Table.read(path, format="ascii.csv")
-    stamp(table, " ".join(["python", f"studies/{Path(sys.argv[0]).name}", *sys.argv[1:]]))
+    command = ["python", f"studies/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+    stamp(table, " ".join(command), ", ".join(dict.fromkeys(versions)))
     table.write(target, overwrite=True)
     return table
 

@@ -2,6 +2,7 @@
 
 import csv
 
+import _rows
 import numpy as np
 import pytest
 import rrlyrae
@@ -55,9 +56,11 @@ def test_motions_are_those_of_the_campaign(shared_data, monkeypatch):
         assert (2140 if campaigns[number] == 3 else 2225) < found.value.args[0] < 2230
 
 
-def test_two_stars_are_corrected(shared_data, tmp_path):
+def test_two_stars_are_corrected(shared_data, tmp_path, monkeypatch):
     arguments = [str(shared_data), str(tmp_path / "rows.csv"), "--cadences", "300", "--stars", "2"]
     assert main(arguments).n_computed == 2
+    now = _rows.version()
+    monkeypatch.setattr(_rows, "version", lambda: "another one")
     assert main(arguments).n_computed == 0  # goes on from what is there
     table = Table.read(tmp_path / "rows.csv")
     assert np.all(np.abs(table["amplitude"] - 1) < LIMIT)
@@ -67,6 +70,7 @@ def test_two_stars_are_corrected(shared_data, tmp_path):
     main([*arguments, "--table", str(tmp_path / "stars")])
     stored = Table.read(tmp_path / "stars.ecsv")
     assert stored["rms"].tolist() == table["rms"].tolist()
+    assert stored.meta["version"] == f"{now}, another one"  # not that of this call alone
     with (tmp_path / "stars.csv").open() as file:
         counts = {row["stars"]: row["corrected"] for row in csv.DictReader(file)}
     assert (counts["all"], counts["alone"], counts["with a neighbor"]) == ("2", "1", "1")
