@@ -4,12 +4,13 @@
 
 Prints each number that differs by more than the limit, relative to the stored one; the exit status
 is 1 if there is one. A table that differs is made again by the command in its metadata. Stars have
-the seeds of the stored ones, so that the same code gives the same numbers. The calibration of K2,
-the population and planets in real pixels have no fast part.
+the seeds of the stored ones, so that the same code gives the same numbers. Of studies of rows the
+first stars are computed again. The calibration of K2 and planets in real pixels have no fast part.
 """
 
 import argparse
 import importlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -37,6 +38,7 @@ STUDIES = {
                  ("scale", "mag", "depth")),
     "tess": ({"magnitudes": (10.0,), "neighbors": (0,)}, ("neighbors", "mag")),
 }  # fmt: skip
+ROWS = {"injections": ("epic", "depth"), "population": ("number",), "rrlyrae": ("epic",)}
 FAST_LAWS = ("brighter_fatter", "charge_transfer", "smear", "extinction", "seeing", "focus")
 SECONDS = ("seconds",)  # differ from machine to machine
 
@@ -58,6 +60,24 @@ def of_study(name, _):
         partial(module.measure, study), module.tasks(study), units=module.UNITS, progress=False
     )
     return stored, module.summarize(study, sweep.table), keys
+
+
+def of_rows(name, data):
+    """Return the stored rows of a study, those of its first two stars, and what names them."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "rows.csv")
+        importlib.import_module(name).main([str(data), str(path), "--stars", "2"])
+        return Table.read(DATA / f"{name}.ecsv"), Table.read(path), ROWS[name]
+
+
+def drop(data):
+    """The amplitude of one star, ppm."""
+    from drop import FILES, measured
+
+    star, text = next(iter(FILES)), (DATA / "drop.txt").read_text(encoding="utf-8")
+    new = 1e6 * measured(star, data / FILES[star])[0][0]
+    values = re.search(rf"{star}: .* amplitude (\S+)", text)[1], new
+    return *(Table({"star": [star], "value": [float(value)]}) for value in values), ("star",)
 
 
 def fits_scenes(_):
@@ -111,7 +131,10 @@ def record(_):
 
 
 CHECKS = {name: partial(of_study, name) for name in STUDIES}
-CHECKS |= {check.__name__: check for check in (fits_scenes, fits_files, laws, fifty_digits, record)}
+CHECKS |= {name: partial(of_rows, name) for name in ROWS}
+CHECKS |= {
+    check.__name__: check for check in (drop, fits_scenes, fits_files, laws, fifty_digits, record)
+}
 
 
 def differences(stored, new, keys, limit):

@@ -23,6 +23,23 @@ def test_stored_laws_are_what_a_new_run_gives(capsys):
     assert ", 0 differ" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", check_tables.ROWS)
+def test_first_rows_of_a_study_are_compared(name, monkeypatch, capsys):
+    """What a study writes for its first stars is compared with the rows that are stored."""
+    stored = Table.read(check_tables.DATA / f"{name}.ecsv")[:2]
+    column = stored.colnames[-1]
+
+    def main(arguments):
+        assert arguments[2:] == ["--stars", "2"]
+        stored.write(arguments[1])
+
+    monkeypatch.setattr(check_tables.importlib.import_module(name), "main", main)
+    assert check_tables.main([name]) == 0
+    stored[column][0] *= 2
+    assert check_tables.main([name]) == 1
+    assert f": {column} " in capsys.readouterr().out
+
+
 def test_unknown_tables_are_refused():
     with pytest.raises(SystemExit):
         check_tables.main(["nothing"])
