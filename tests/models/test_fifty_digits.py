@@ -14,6 +14,11 @@ NAMES = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
 # As in studies/fifty_digits.py, which wrote the table.
 X_ROW, Y_ROW = (1.0, 0.1, -0.05, 0.2), (1.0, -0.2, -0.75)
 PIXELS = np.arange(12.0)
+# Largest errors, which the page on digits states.
+LIMITS = {
+    "test_integrals": 5e-15, "test_derivatives": 5e-13, "test_quadrature": 5e-14,
+    "test_images_of_a_series": 2e-13, "test_tables_of_polynomials": 2e-13,
+}  # fmt: skip
 
 
 def hard_cases(repository):
@@ -28,7 +33,7 @@ def test_integrals(repository):
     assert len(cases) == 108
     for pixel, parameters, truth in cases:
         image = gaussian_pixels(PIXELS, PIXELS, *parameters, X_ROW, Y_ROW)
-        assert abs(image[pixel] - truth[0]) < 5e-15, (pixel, parameters)
+        assert abs(image[pixel] - truth[0]) < LIMITS["test_integrals"], (pixel, parameters)
 
 
 def test_derivatives(repository):
@@ -39,7 +44,7 @@ def test_derivatives(repository):
         error = image[:, pixel[0], pixel[1]] - truth
         _, _, sigma_x, sigma_y, rho = parameters
         scale = np.array([1, sigma_x, sigma_y, sigma_x, sigma_y, 1 - rho**2])
-        assert np.max(np.abs(error * scale)) < 5e-13, (pixel, parameters)
+        assert np.max(np.abs(error * scale)) < LIMITS["test_derivatives"], (pixel, parameters)
 
 
 def test_quadrature(repository):
@@ -49,7 +54,7 @@ def test_quadrature(repository):
     for (row, column), parameters, truth in cases[::3]:
         model = BivariateGaussianPSF(1, *parameters) * SensitivityPolynomial(X_ROW, Y_ROW)
         value = integrate_pixels(model, x=[column], y=[row], method="quadrature")
-        assert abs(value[0] - truth[0]) < 5e-14, (row, column, parameters)
+        assert abs(value[0] - truth[0]) < LIMITS["test_quadrature"], (row, column, parameters)
 
 
 def test_images_of_a_series(repository):
@@ -64,7 +69,16 @@ def test_images_of_a_series(repository):
         series = ImageSeries(psf, SensitivityPolynomial(X_ROW, Y_ROW), (12, 12), x, y)
         rows, columns = series.window
         value = series(x, y)[7, pixel[0] - rows.start, pixel[1] - columns.start]
-        assert abs(value - truth[0]) < 2e-13, (x_0, y_0, shape)
+        assert abs(value - truth[0]) < LIMITS["test_images_of_a_series"], (x_0, y_0, shape)
+
+
+def test_the_page_states_what_is_tested(repository):
+    page = (repository / "docs" / "evaluation_digits.rst").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if "``test_" in line]
+    for (name, limit), row in zip(LIMITS.items(), rows, strict=True):
+        assert name in globals()
+        assert row.startswith(f"{limit:.0e} ")
+        assert f"``{name}``" in row
 
 
 def test_the_kept_numbers_repeat(repository):
@@ -89,7 +103,7 @@ def polynomial_integral(powers, lows, highs):
 
 
 @pytest.mark.parametrize("place", [(3.0, 3.0), (3.5, 2.5), (3.25, 2.8125), (0.4375, 3.0)])
-def test_tables_of_polynomials_are_integrated_exactly(place):
+def test_tables_of_polynomials(place):
     """A spline of degree 5 is the polynomial itself: its integrals are fractions."""
     powers = {(0, 0): 3.0, (1, 0): -0.5, (2, 3): 0.25, (5, 4): -0.125, (4, 5): 0.0625}
     y, x = np.mgrid[-12:13, -12:13] / 8
@@ -103,7 +117,7 @@ def test_tables_of_polynomials_are_integrated_exactly(place):
             highs = [min(c + Fraction(1, 2), reach) for c in center]
             inside = all(low < high for low, high in zip(lows, highs, strict=True))
             exact = float(polynomial_integral(powers, lows, highs)) if inside else 0.0
-            assert abs(image[j, i] - exact) < 2e-13
+            assert abs(image[j, i] - exact) < LIMITS["test_tables_of_polynomials"]
 
 
 @pytest.mark.parametrize(("samples", "largest"), [(5, 1e-6), (9, 2e-8), (19, 2e-10)])
