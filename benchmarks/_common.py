@@ -6,20 +6,24 @@ import platform
 import sys
 import time
 import tracemalloc
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "docs" / "data"))
+from _stamp import version
 
 __all__ = ["peak_memory", "report_environment", "seconds"]
 
 
 def report_environment(*packages):
-    """Print the machine, the number of threads, and the versions of packages."""
+    """Print the machine, the number of threads, the commit, and the versions of packages."""
     sys.stdout.reconfigure(line_buffering=True)
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
     print(f"{machine}, OMP_NUM_THREADS {threads}")
-    names = ("scope_models", "numpy", "scipy", "astropy", *packages)
+    names = ("numpy", "scipy", "astropy", *packages)
     modules = {name: importlib.import_module(name) for name in names}
     versions = ", ".join(f"{name} {module.__version__}" for name, module in modules.items())
-    print(f"Python {platform.python_version()}, {versions}\n")
+    print(f"Python {platform.python_version()}, scope_models {version()}, {versions}\n")
 
 
 def seconds(*functions, repeats=5, choose=min, clock=time.process_time):
