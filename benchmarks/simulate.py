@@ -97,7 +97,7 @@ def report_goals():
     y, x = (np.tile(p.ravel(), len(motion)) for p in np.mgrid[:side, :side].astype(float))
     places = (np.repeat(side // 2 + values, side**2) for values in (motion.x, motion.y))
     arguments, star, prf = (x, y, 1.0, *places, 1.2), Star(12.0), CircularGaussianPRF()
-    print("\n1000 x 9 x 9 pixels, no noise; photutils' CircularGaussianPRF; 16 cadences, or the setup")
+    print("\n1000 x 9 x 9 pixels, no noise; photutils' CircularGaussianPRF; 16 cadences: the setup")
     print("The goal is for calls in a row; a single call finds the other's arrays in the caches.")
     for n in (10, 1):
         ours, setup = (
