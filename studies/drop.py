@@ -74,7 +74,8 @@ def amplitude(fit, keep):
 
 def measured(star, tpf):
     """Print the amplitude of a star; return it, its error and the width, and place and flux."""
-    fit, values = fit_tpf(tpf), fit_tpf(tpf, 1, interpixel=0, positions="path").values
+    fit = fit_tpf(tpf, response="pixels")  # a response within pixels would hold the drop itself
+    values = fit_tpf(tpf, 1, interpixel=0, positions="path").values
     sigma = np.sqrt(values["sigma_x"] * values["sigma_y"])
     value, error, clean, good = amplitude(fit, np.ones(len(fit.time), dtype=bool))
     part = np.arange(len(fit.time)) * PARTS // len(fit.time)
