@@ -74,18 +74,20 @@ def amplitude(fit, keep):
 
 def measured(star, tpf):
     """Print the amplitude of a star; return it, its error and the width, and place and flux."""
-    fit, values = fit_tpf(tpf), fit_tpf(tpf, 1, interpixel=0, positions="path").values
+    fit = fit_tpf(tpf, response="pixels")  # a response within pixels would hold the drop itself
+    values = fit_tpf(tpf, 1, interpixel=0, positions="path").values
     sigma = np.sqrt(values["sigma_x"] * values["sigma_y"])
     value, error, clean, good = amplitude(fit, np.ones(len(fit.time), dtype=bool))
     part = np.arange(len(fit.time)) * PARTS // len(fit.time)
     others = [amplitude(fit, part != i)[0] for i in range(PARTS)]
     spread = np.sqrt((PARTS - 1) / PARTS * np.sum((others - np.mean(others)) ** 2))
+    moved = np.ptp(fit.x[good]), np.ptp(fit.y[good])
+    errors = f"+- {1e6 * error:.0f} (model) +- {1e6 * spread:.0f} (parts)"
     print(
-        f"{star}: one Gaussian of {sigma:.2f} px, motion {np.ptp(fit.x[good]):.2f} and "
-        f"{np.ptp(fit.y[good]):.2f} px; amplitude {1e6 * value:.0f} +- {1e6 * error:.0f} (model) "
-        f"+- {1e6 * spread:.0f} (parts) ppm"
+        f"{star}: one Gaussian of {sigma:.2f} px, motion {moved[0]:.2f} and {moved[1]:.2f} px; "
+        f"amplitude {1e6 * value:.0f} {errors} ppm"
     )
-    return (value, np.hypot(error, spread), sigma), fit.x[good], clean[good]
+    return (value, np.hypot(error, spread), sigma), fit.x[good], clean[good], moved
 
 
 def together(name, numbers):
@@ -114,28 +116,35 @@ def simulated(number, motion):
     return simulate(star, detector, motion, seed=number).to_tpf(), slope
 
 
-def one_ccd(folder, n_stars=7):
-    """Print what stars of one CCD give together, real ones and simulated ones."""
+def one_ccd(folder, axes, n_stars=7):
+    """Print and draw what stars of one CCD give together, real ones and simulated ones."""
     motion = Motion.k2_roll(1000, seed=1)
     motion = motion[motion.quality == 0]
     files = [(path.name, path) for path in sorted(Path(folder, "kepler_q12_ch4").glob("*.fits.gz"))]
     made, truths = zip(*(simulated(number, motion) for number in range(n_stars)), strict=True)
     for name, tpfs in {"real": files, "simulated": list(enumerate(made))}.items():
-        numbers = [measured(f"{name} {star}", tpf)[0] for star, tpf in tpfs]
-        together(f"{len(numbers)} {name} stars of one CCD", numbers)
+        found = [measured(f"{name} {star}", tpf) for star, tpf in tpfs]
+        numbers, text = [one[0] for one in found], f"{len(found)} {name} stars of one CCD"
+        together(text, numbers)
+        errors = [1e6 * error for _, error, _ in numbers]
+        moved = [np.hypot(*one[3]) for one in found]
+        axes.loglog(moved, errors, "s^"[name == "real"], label=text)
     print(f"truth of the simulated stars: {1e6 * np.mean(truths):.0f} ppm")
+    axes.axhline(1e6 * np.mean(truths), color="0.4", label="k2_calibrated, 19 %")
+    axes.set(xlabel="Motion (pixel)", ylabel="Error of the amplitude (ppm)")
+    axes.set_title("What each star of one CCD gives")
 
 
-def report(folder, path):
-    """Print what the stars give, and draw them beside the anchors."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
+def report(folder):
+    """Print what the stars give, and draw them beside the anchors; return the figure."""
+    figure, (left, right, _) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
     width = np.linspace(0.35, 0.62, 50)
     styles = ("-", "--", "-.", ":", (0, (1, 3)))
     for (name, value), style in zip(ANCHORS.items(), styles, strict=True):
         left.semilogy(width, predicted(value, width), ls=style, color="0.4", label=name)
     numbers = []
     for (star, file), marker in zip(FILES.items(), "osv", strict=False):
-        found, x, clean = measured(star, Path(folder) / file)
+        found, x, clean, _ = measured(star, Path(folder) / file)
         if not star.startswith("EPIC"):
             continue
         numbers.append(found)
@@ -158,16 +167,17 @@ def report(folder, path):
     right.set(xlabel="Column of the star within the pixel", ylabel="Relative flux (ppm)")
     left.set_title("Loss of light between pixels: published responses, limits")
     right.set_title("Flux against the position within the pixel")
-    for axes in (left, right):
-        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
-    figure.savefig(path, dpi=110)
+    return figure
 
 
 def main():
     """Run the study."""
     warnings.simplefilter("ignore", AstropyUserWarning)
-    report(sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "drop.png")
-    one_ccd(sys.argv[1])
+    figure = report(sys.argv[1])
+    one_ccd(sys.argv[1], figure.axes[2])
+    for axes in figure.axes:
+        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
+    figure.savefig(sys.argv[2] if len(sys.argv) > 2 else "drop.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ __all__ = [
 
 # First damping, where less lets a PSF become a point, from which nothing leads back, and that from
 # the result of a fit; its limits; the least one after a step that failed.
-_FIRST_DAMPING, _LATER_DAMPING = 1e-1, 1e-3
+_FIRST_DAMPING, _LATER_DAMPING = 1e-1, 1e-6
 _LEAST_DAMPING, _LARGEST_DAMPING, _SOBER = 1e-8, 1e8, 1e-5
 # Gain of an undamped step where a fit ends, a tenth of a standard deviation of all parameters from
 # the minimum: absolute, relative, and relative of a guess.

@@ -284,10 +284,13 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
     early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
     if guess is not None:
         state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
+        if problem.data.pos_corr is not None and problem.options.positions != "free":
+            found = np.linalg.lstsq(guess.problem.basis, guess.state.cadence[:, :2])[0]
+            state.cadence[:, :2] = problem.basis @ found
         state = _start.linear_start(problem, state)
         early, most = {"n_steps": guess.n_steps}, np.inf
-    # Else all residuals are outliers to a robust loss.
-    problem = problem.rescaled(state)
+    if guess is None or problem.options.loss == "soft_l1":
+        problem = problem.rescaled(state)  # else all residuals are outliers to a robust loss
     solution = steps(problem, state, loosely=True, **early)
     for remaining in reversed(range(_RESCALINGS)):
         scaled = problem.rescaled(solution.state)

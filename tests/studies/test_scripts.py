@@ -39,7 +39,7 @@ def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
             tmp_path / name
         )
     monkeypatch.setattr(drop, "FILES", files)
-    drop.report(tmp_path, tmp_path / "drop.png")
+    drop.report(tmp_path).savefig(tmp_path / "drop.png")
     plt.close("all")
     text = capsys.readouterr().out
     assert [line.partition(":")[0] for line in text.splitlines() if "EPIC" in line] == list(files)
