@@ -78,7 +78,7 @@ def observe(task, *, data, cadences):
     rng, stars = np.random.default_rng([27, number]), real_stars(data)
     kp, known = stars["kp"][number], stars["kp"][np.isfinite(stars["kp"])]
     kp = float(kp if np.isfinite(kp) else known[rng.integers(len(known))])
-    motion = moved(rng, data, 1.0)[0][:cadences]
+    motion = moved(rng, data)[0][:cadences]
     good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     shape, x_0, y_0 = stamp_around(motion[good], 5)
     kind = "RRab" if rng.uniform() < 0.75 else "RRc"
