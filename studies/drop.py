@@ -27,7 +27,7 @@ ANCHORS = {
     "Saunders et al. (2019), drop 1.25 %": 187,
     "ETEM2, 500 nm, 2.3 %": 357,
     "ETEM2, 800 nm, 4 to 5 %": 762,
-    "k2_calibrated, 19 %": 2978,
+    "k2_calibrated, 12.5 %": 1942,
     "laboratory, 50 %": 8933,
 }
 SIGMA = 0.45

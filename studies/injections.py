@@ -92,7 +92,7 @@ def simulated(task, *, data, cadences):
     number = task["number"]
     rng, stars = np.random.default_rng([28, number]), injected_stars(data)[1]
     star = stars[rng.integers(len(stars))]
-    motion, good, _ = moved(rng, data, 1.0)
+    motion, good, _ = moved(rng, data)
     motion, good = motion[:cadences], good[:cadences]
     shape, x_0, y_0 = stamp_around(good, 5)
     detector = Detector.k2_calibrated(shape=shape)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from _rows import arguments_of, store_rows, sweep_rows, write_csv
+from astropy.stats import mad_std
 from astropy.table import Table
 from k2_motion import EDGE, K2MotionNoise, choose_aperture
 from paper._stars import FARTHEST, draw_star, stamp_around
@@ -30,8 +31,10 @@ MOTIONS = [f"poscorr/ktwo{name}_llc.fits" for name in (
 )] + ["k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz"]  # fmt: skip
 MAGNITUDES = range(11, 18)
 EVERY = 10  # of so many cadences one is enough for the image that chooses the aperture
+PARTS = (10, 50, 90)
 PIPELINES = ("everest2", "everest2_validation", "everest1", "k2sff", "k2sc")
-COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", "corrected")
+COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", "corrected",
+           "held_out")  # fmt: skip
 rows_of = itemgetter(list(COLUMNS))
 
 
@@ -62,11 +65,11 @@ def real_motion(path):
     return motion.time, np.where(near, x, 0), np.where(near, y, 0), motion.quality, good, distance
 
 
-def moved(rng, data, scale):
+def moved(rng, data):
     """Return a motion somewhere in the field, its good cadences, and the distance."""
     time, x, y, quality, good, known = real_motion(Path(data) / MOTIONS[rng.integers(5)])
     distance, angle = EDGE * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-    turned = scale * distance / known * np.exp(1j * angle) * (x + 1j * y)
+    turned = distance / known * np.exp(1j * angle) * (x + 1j * y)
     motion = Motion.from_arrays(time, turned.real, turned.imag, quality=quality)
     return motion, motion[good], distance
 
@@ -89,14 +92,14 @@ def neighbors(rng, shape):
     return [Star(max(mag, 9.0), *place) for mag, place in zip(mags, places, strict=True)]
 
 
-def observe(task, *, data, scale, every):
+def observe(task, *, data, every):
     """Return the row of a star; one in so many is corrected, none for 0."""
     number = task["number"]
     rng = np.random.default_rng([26, number])
     real, low = real_stars(data), MAGNITUDES[number % len(MAGNITUDES)]
     inside = real["kp"][np.floor(real["kp"]) == low]
     mag = float(inside[rng.integers(len(inside))])
-    motion, good, distance = moved(rng, data, scale)
+    motion, good, distance = moved(rng, data)
     shape, x_0, y_0 = stamp_around(good, 5)
     detector = Detector.k2_calibrated(shape=shape, background=284 * np.exp(rng.normal(0, 0.2)))
     signal, spots = spotted(rng)
@@ -108,18 +111,20 @@ def observe(task, *, data, scale, every):
     pixels = observation.flux[(observation.quality & MISSIONS["K2"].quality.rejected) == 0]
     curves = (pixels[:, mask].sum(axis=1, dtype=float) for mask in (aperture, observation.aperture))
     raw, raw_file = (cdpp(flux, method="everest") for flux in curves)
-    corrected = np.nan
+    corrected = held_out = np.nan
     if every and number // len(MAGNITUDES) % every == 0:
-        corrected = cdpp(PLDCorrector(observation.to_tpf()).correct(), method="everest")
+        corrector = PLDCorrector(observation.to_tpf())
+        corrected = cdpp(corrector.correct(), method="everest")
+        held_out = 1e6 * mad_std(corrector.result.held_out()[0])
     row = (mag, round(distance, 3), len(others), int(spots),
-           *(round(float(v), 2) for v in (raw, raw_file, corrected)))  # fmt: skip
+           *(round(float(v), 2) for v in (raw, raw_file, corrected, held_out)))  # fmt: skip
     return dict(zip(COLUMNS[1:], row, strict=True))
 
 
 def percentiles(values, rng):
     """Return the 10th, 50th and 90th percentile and their errors by resampling."""
     picks = np.asarray(values)[rng.integers(len(values), size=(400, len(values)))]
-    return np.percentile(values, [10, 50, 90]), np.percentile(picks, [10, 50, 90], axis=1).std(1)
+    return np.percentile(values, PARTS), np.percentile(picks, PARTS, axis=1).std(1)
 
 
 def write_tables(stars, real, target):
@@ -138,49 +143,46 @@ def write_tables(stars, real, target):
         raw.append([f"{low}-{low + 1}", len(ours), *np.rint(there).astype(int),
                     *np.rint(here).astype(int), *cells,
                     round(np.median(ours["raw_file"])), f"{tail[0] / tail[1]:.2f}"])  # fmt: skip
-        done = ours["corrected"][np.isfinite(ours["corrected"])]
+        done = ours[np.isfinite(ours["corrected"])]
         if len(done):
-            median, error = (part[1] for part in percentiles(done, rng))
-            known = [theirs[n][theirs[n] > 0] for n in PIPELINES]
-            corrected.append([f"{low}-{low + 1}", len(done), f"{median:.1f} ± {error:.1f}",
+            found = [[part[1] for part in percentiles(done[name], rng)]
+                     for name in ("corrected", "held_out")]  # fmt: skip
+            known = [held[n][held[n] > 0] for n in PIPELINES]
+            corrected.append([f"{low}-{low + 1}", len(done),
+                              *(f"{median:.1f} ± {error:.1f}" for median, error in found),
                               *(f"{np.median(values):.1f}" for values in known)])  # fmt: skip
     names = ["Kp", "stars", "real 10 %", "50 %", "90 %", "simulated 10 %", "50 % ", "90 % ",
              "ratio at 10 %", "at 50 %", "at 90 %", "file's aperture", "EVEREST 2"]  # fmt: skip
-    others = ["Kp", "stars", "simulated, PLDCorrector", "EVEREST 2", "its validation", "EVEREST 1",
-              "K2SFF", "K2SC"]  # fmt: skip
+    others = ["Kp", "stars", "simulated, PLDCorrector", "its held-out windows", "EVEREST 2",
+              "its validation", "EVEREST 1", "K2SFF", "K2SC"]  # fmt: skip
     for suffix, head, rows in (("raw", names, raw), ("corrected", others, corrected)):
         write_csv(f"{target}_{suffix}.csv", [head, *rows])
     write_campaigns(stars, real, target)
 
 
 def write_campaigns(stars, real, target):
-    """Write 10th percentiles of the noise before and after K2SFF, by campaign."""
+    """Write percentiles of the noise before and after K2SFF, by campaign."""
     campaigns, rows = np.unique(real["campaign"]), []
-    for low in MAGNITUDES[3:]:
+    for low in MAGNITUDES:
         ours, theirs = (table[np.floor(table["kp"]) == low] for table in (stars, real))
         parts = [theirs[theirs["campaign"] == number] for number in campaigns]
-        quiet = [np.percentile(part[name][part[name] > 0], 10)
-                 for name in ("raw", "k2sff") for part in parts]  # fmt: skip
-        ours = np.percentile(ours["raw"], 10)
-        rows.append([f"{low}-{low + 1}", *(f"{v:.0f}" for v in (ours, *quiet))])
+        noise = [part[name][part[name] > 0] for name in ("raw", "k2sff") for part in parts]
+        found = np.array([np.percentile(one, PARTS) for one in (ours["raw"], *noise)]).T
+        for part, values in zip(PARTS, found, strict=True):
+            rows.append([f"{low}-{low + 1}", f"{part} %", *np.rint(values).astype(int)])
     names = [f"{name} {number}" for name in ("raw, campaign", "K2SFF,") for number in campaigns]
-    write_csv(f"{target}_campaigns.csv", [["Kp", "raw, simulated", *names], *rows])
+    write_csv(f"{target}_campaigns.csv", [["Kp", "percentile", "raw, simulated", *names], *rows])
 
 
 def main(argv=None):
-    more = {"corrected": 600, "motion": {"type": float, "default": 1.0, "help": "factor on it"}}
-    more["against"] = {"help": "prints ratios to the same stars of another file"}
-    options = arguments_of(__doc__, argv, 6000, **more)
+    options = arguments_of(__doc__, argv, 6000, corrected=600)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
         return write_tables(table, real_stars(options.data), options.table)
-    if options.against:
-        one, two = (Table.read(path)["raw"] for path in (options.file, options.against))
-        ratio = np.array(one[: len(two)] / two[: len(one)])
-        return print("16, 50, 84 %:", np.percentile(ratio, [16, 50, 84]).round(2))
     every = max(1, options.stars // options.corrected) if options.corrected > 0 else 0
-    measure = partial(observe, data=options.data, scale=options.motion, every=every)
-    return sweep_rows(options, measure, options.stars, rows_of)
+    return sweep_rows(
+        options, partial(observe, data=options.data, every=every), options.stars, rows_of
+    )
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ def observe(task, *, data, cadences):
     star, known = stars[number], stars[np.isfinite(stars["kp"])]
     star = star if np.isfinite(star["kp"]) else known[rng.integers(len(known))]
     kp, first_day = float(star["kp"]), FIRST_DAYS[star["campaign"]]
-    drawn = iter(partial(moved, rng, data, 1.0), None)  # of all campaigns
+    drawn = iter(partial(moved, rng, data), None)  # of all campaigns
     motion = next(one for one, *_ in drawn if round(one.time[0]) == first_day)[:cadences]
     good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     shape, x_0, y_0 = stamp_around(motion[good], 5)

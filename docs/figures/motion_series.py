@@ -19,15 +19,15 @@ STARS = {
     "EPIC 205998445, C3": ("epic205998445_c03_poscorr.fits", {}),
     "WASP-47, C3": (
         "ktwo206103150-c03_llc.fits",
-        {"n_cadences": 3386, "field": (-2.61, -4.77), "solar_rate": 4.0, "seed": 1},
+        {"n_cadences": 3386, "field": (-2.61, -4.77), "seed": 1},
     ),
     "EPIC 211436265, C5": (
         "ktwo211436265-c05_llc.fits",
         {
             "n_cadences": 3663,
             "field": (3.9, -4.5),
-            "solar_rate": 4.0,
-            "reversal": 36.5,
+            "solar_rate": -2.5,
+            "reversal": -8.5,
             "reversal_interval": 45.0,
             "seed": 1,
         },

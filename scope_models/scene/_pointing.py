@@ -384,24 +384,23 @@ class K2Roll(Pointing):
         (1 + g_k) \left(1 + \kappa (t - t_k)\right),
 
     and within each six hours the angle is the quadratic in time with this rate and its
-    derivative. A star at :math:`(X, Y)` from the boresight is displaced by :math:`(s X - \theta Y,
-    s Y + \theta X)`, with the stretch by velocity aberration :math:`s = (v / c) \cos(2 \pi (t - T /
-    2) / \mathrm{yr})` less its mean over a campaign of length :math:`T`. Positions are means over
-    each cadence.
+    derivative; :math:`R` doubles at the second reversal :math:`t_r + T_r`. A star at :math:`(X, Y)`
+    from the boresight is displaced by :math:`(s X - \theta Y, s Y + \theta X)`, with the stretch by
+    velocity aberration :math:`s = (v / c) \cos(2 \pi (t - T / 2) / \mathrm{yr})` less its mean over
+    a campaign of length :math:`T`. Positions are means over each cadence.
 
     The defaults describe EPIC 205998445 (campaign 3); the page on generated K2 motion has the
-    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Momentum dumps and
-    the doubling of real rates at the second reversal are not modeled: whole campaigns have a
-    standard deviation along the roll of 0.052 px per degree from the boresight, six real stars
-    0.054 to 0.070; ``solar_rate=4.5`` gives 0.063.
+    numbers that are measured on POS_CORR of stars in campaigns 3, 4, 5 and 18. Whole campaigns have
+    a standard deviation along the roll of 0.063 px per degree from the boresight, six real stars
+    0.054 to 0.070. Momentum dumps are not modeled.
 
     Parameters
     ----------
     field : tuple of float or Quantity
         Distance :math:`(X, Y)` from the boresight along columns and rows, deg.
     solar_rate : float or Quantity
-        Amplitude :math:`R` of the roll rate, arcsec/h, from columns to rows before the first
-        reversal.
+        Amplitude :math:`R` of the roll rate until the second reversal, arcsec/h, from columns to
+        rows before the first.
     reversal, reversal_interval : float or Quantity
         Time :math:`t_r` of the first reversal of the roll from the beginning, and :math:`T_r` from
         one to the next, days.
@@ -495,8 +494,9 @@ class K2Roll(Pointing):
         times[0] = min(times[0], 0.0)
         frequency = np.pi / (24 * self.reversal_interval)
         phase = frequency * (24 * self.reversal - times)
-        rate = self.solar_rate * np.sin(phase)
-        acceleration = -self.solar_rate * frequency * np.cos(phase)
+        doubled = times > 24 * (self.reversal + self.reversal_interval)
+        size = self.solar_rate * np.where(doubled, 2, 1)
+        rate, acceleration = size * np.sin(phase), -size * frequency * np.cos(phase)
         offsets = self.reset_scatter * deviates[:, 1]
         factors = 1 + self.rate_scatter * deviates[:, 2]
         state, fired = np.empty((len(times), 3)), []
@@ -548,7 +548,7 @@ class K2Campaign18(Pointing):
 
     In the K2 data release notes 2490 long cadences have less than 1.9 px, but 162613 to 162627 more
     than 4 px; these and the last one are flagged as of coarse pointing. The roll is that of
-    `~scope_models.scene.motion.K2Roll` with the reversals of EPIC 211983544.
+    `~scope_models.scene.motion.K2Roll` with the rate and reversals of EPIC 211983544.
 
     Parameters
     ----------
@@ -573,7 +573,8 @@ class K2Campaign18(Pointing):
     field: tuple = number((0.45, 3.16), u.deg)
 
     def track(self, time, streams):
-        roll = K2Roll(field=self.field, reversal=5.8, reversal_interval=37.3, rate_growth=0.027)
+        numbers = {"solar_rate": 2.1, "reversal": 5.8, "reversal_interval": 37.3}
+        roll = K2Roll(field=self.field, rate_growth=0.027, **numbers)
         x, y, flags = roll.track(time, streams)
         number = self.cadences[0] + np.arange(len(time))
         away = ((number >= 162613) & (number <= 162627)) | (number == 164458)

@@ -89,7 +89,7 @@ def register_preset(name, *, cadences=(), **fields):
     return preset
 
 
-_A_2 = -0.75  # of the response fitted to the noise of K2
+_A_2 = -0.5  # of the response fitted to the noise of K2
 _MEAN = 1 + _A_2 / 12
 _FITTED = (1 / _MEAN, 0.0, _A_2 / _MEAN)
 # The sources of all numbers are in the docstrings of Detector.kepler, k2, k2_calibrated and tess.
@@ -103,7 +103,7 @@ register_preset("kepler", **_KEPLER)
 register_preset("k2", **_K2)
 _CALIBRATED = _K2 | {
     "sensitivity": SensitivityPolynomial(_FITTED, _FITTED),
-    "interpixel_scatter": 0.011, "interpixel_distribution": "normal",
+    "interpixel_scatter": 0.009, "interpixel_distribution": "normal",
     "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
     + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
 }  # fmt: skip

@@ -36,18 +36,25 @@ def test_tables_mark_what_does_not_fit(tmp_path):
         real[name] = 30.0
     factor = np.where(kp < 14, 1.0, 2.0)
     stars = Table({"kp": kp, "raw": factor * noise, "raw_file": noise, "corrected": 0.2 * noise})
+    stars["held_out"] = 0.3 * noise
     write_tables(stars, real, tmp_path / "population")
     with (tmp_path / "population_raw.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["at 50 %"][:4] for row in rows] == ["1.00"] * 3 + ["2.00"] * 4
     assert ["(!)" in row["at 50 %"] for row in rows] == [False] * 3 + [True] * 4
     with (tmp_path / "population_corrected.csv").open() as file:
-        assert next(csv.DictReader(file))["EVEREST 2"] == "30.0"
-    with (tmp_path / "population_campaigns.csv").open() as file:
         row = next(csv.DictReader(file))
-    expected = np.percentile(noise[kp == 14.5], 10)
-    assert (row["raw, campaign 4"], row["K2SFF, 4"]) == (f"{expected:.0f}", "30")
-    assert row["raw, simulated"] == f"{2 * expected:.0f}"
+    assert row["EVEREST 2"] == "30.0"
+    median = np.median(noise[kp == 11.5])
+    assert row["its held-out windows"].startswith(f"{0.3 * median:.1f} ")
+    with (tmp_path / "population_campaigns.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 7
+    for row, part in zip(rows[9:12], (10, 50, 90), strict=True):
+        expected = np.percentile(noise[kp == 14.5], part)
+        assert (row["Kp"], row["percentile"]) == ("14-15", f"{part} %")
+        assert (row["raw, campaign 4"], row["K2SFF, 4"]) == (f"{expected:.0f}", "30")
+        assert row["raw, simulated"] == f"{2 * expected:.0f}"
 
 
 def test_errors_of_percentiles():
