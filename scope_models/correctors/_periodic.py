@@ -27,9 +27,8 @@ _AT_ONCE, _APART = 6, 1.5
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
 #: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, a quarter
-#: of it after each step that led nowhere; and number of steps, which end with one that is small
-#: beside its error.
-_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.5
+#: of it after each step that led nowhere; and the last step, beside its error.
+_SHIFT, _SMALL_SHIFT = 0.2, 0.5
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -48,7 +47,8 @@ _CHANCE = 0.1
 #: Tolerance: a search is for those that deviate by this part of the largest deviation: a deep
 #: transit bends the process around it.
 _PART = 0.5
-#: Tolerance: largest number of searches for waves, and for short changes.
+#: Tolerance: largest number of searches for waves and for short changes, and of steps of
+#: frequencies.
 _ROUNDS = 20
 
 
@@ -85,7 +85,7 @@ class _Waves:
     def settled(self, fit):
         """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
         waves, size = self, _SHIFT
-        for _ in range(_STEPS):
+        for _ in range(_ROUNDS):
             moved, steps = waves._shifted(fit(waves), size)
             if fit(moved).log_likelihood > fit(waves).log_likelihood:
                 waves = moved

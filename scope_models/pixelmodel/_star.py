@@ -25,7 +25,7 @@ from scipy.linalg import solveh_banded
 from scope_models.pixelmodel._smooth import CLIP, NO_WEIGHT, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
-__all__ = ["IMAGE_ERROR", "MISFIT", "StarModel", "fit_star"]
+__all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "StarModel", "fit_star"]
 
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
@@ -52,7 +52,7 @@ _MOST_OWN = 0.5
 _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
-_RESPONSE_PRIOR = 0.05
+RESPONSE_PRIOR = 0.05
 #: Prior: relative error of a pixel's light where no other cadence shows the star, that of responses
 #: of pixels (1 %, Kepler Instrument Handbook).
 MISFIT = 0.01
@@ -375,7 +375,7 @@ def _variable(stamp, columns, brightness):
     fast, right = changes(columns), changes(change)
     for _ in range(3):
         noise = np.mean(changes(variable) ** 2) / 2
-        gram = fast.T @ fast + noise / _RESPONSE_PRIOR**2 * np.eye(fast.shape[1])
+        gram = fast.T @ fast + noise / RESPONSE_PRIOR**2 * np.eye(fast.shape[1])
         variable = change - columns @ np.linalg.solve(gram, fast.T @ right)
     jumps = np.mean(np.diff(variable[use]) ** 2)
     strong = np.mean(changes(variable) ** 2) - jumps > 2 * _STRONG**2
