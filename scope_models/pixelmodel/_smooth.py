@@ -247,11 +247,6 @@ class Smoother:
         course = mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
         return course, np.sqrt(noise)
 
-    def without_dips(self, values, start, width):
-        """Return values, and robust local lines of a width in place of outliers."""
-        smooth, size = self.lines(values, start, width)[:2]
-        return np.where(np.abs(values - smooth) > CLIP * 1.4826 * size, smooth, values)
-
     def lines(self, values, start, width, weight=None):
         """Return robust local linear fits, the median of leave-one-out errors, weights, and noise.
 

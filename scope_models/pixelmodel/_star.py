@@ -22,7 +22,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.linalg import solveh_banded
 
-from scope_models.pixelmodel._smooth import CLIP, NO_WEIGHT, TRANSIT, quantile
+from scope_models.pixelmodel._smooth import CLIP, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
 __all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "StarModel", "fit_star"]
@@ -56,9 +56,6 @@ RESPONSE_PRIOR = 0.05
 #: Prior: relative error of a pixel's light where no other cadence shows the star, that of responses
 #: of pixels (1 %, Kepler Instrument Handbook).
 MISFIT = 0.01
-#: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
-#: focus.
-_SLOW = 0.05
 
 
 @dataclass(frozen=True)
@@ -73,12 +70,12 @@ class StarModel:
     light: np.ndarray  # e-/s, (n,)
     light_error: np.ndarray  # standard deviation of its noise, e-/s, (n,)
     shares: np.ndarray  # fractions of this light (n, n_pixels), 0 outside of the aperture
-    still: np.ndarray  # those of the light at the width without short dips; they add up to 1
+    still: np.ndarray  # those of the light that the aperture holds; they add up to 1
     outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
     background: np.ndarray  # e-/s, (n, n_pixels)
     position: np.ndarray  # relative to the median, px, (n, 2)
     variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
-    focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
+    focus: np.ndarray  # relative change of the PSF's width, (n,)
     constant: float  # part of the light that does not vary with the star, at least
     misfit: np.ndarray  # what pixels show beyond the model, over the light, 0 outside (n, n_pixels)
     level: np.ndarray  # what the background has beyond its smooth course, over the light, (n,)
@@ -443,18 +440,12 @@ def _constant_light(stamp, images, error):
 
 
 def _result(stamp, states, images, flux_err, image_error):
-    """Return the `StarModel` of states and images.
-
-    Beside constant light the image is narrower or wider in a dip of the star: in fractions and
-    light, the width has no short dips.
-    """
-    inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
+    """Return the `StarModel` of states and images."""
+    inside = stamp.aperture
     drawn = stamp.columns.drawn
     slopes = np.array([slope[stamp.use].mean(axis=0) for slope in images.slopes])
     mean = images.still[stamp.use].mean(axis=0)[None]
-    focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
-    kept = _kept(stamp, states, images, focus)
-    still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
+    kept = _kept(stamp, states, images, states.focus)
     rest = np.where(states.good & inside, _rest(stamp, states, images), 0.0)
     more = rest.sum(axis=1)
     light = states.brightness + more
@@ -467,12 +458,12 @@ def _result(stamp, states, images, flux_err, image_error):
         light=stamp.unit * light * kept,
         light_error=np.sqrt(variance) * kept,
         shares=drawn(whole) / kept[:, None],
-        still=drawn(np.where(inside, still, 0.0)),
+        still=drawn(whole),
         outside=images.still @ ~inside,
         background=stamp.unit * (states.plane @ stamp.terms.T),
         position=states.position,
         variable=states.variable,
-        focus=focus,
+        focus=states.focus,
         constant=_constant_light(stamp, images, image_error),
         misfit=drawn(rest / light[:, None], mean),
         level=level / light,
