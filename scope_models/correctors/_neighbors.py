@@ -35,8 +35,8 @@ __all__ = [
     "light_of_neighbors", "track", "without_neighbors",
 ]  # fmt: skip
 
-#: Branch: standard deviations of what counts as seen, by a jackknife of so many parts of the time.
-_SEEN, _PARTS = 3.0, 10
+#: Tolerance: parts of the time of a jackknife.
+_PARTS = 10
 #: Tolerance: cadences that show the PRF.
 _FEW = 100
 #: Prior: errors of the PRF are in units of the first guess made so many times as broad.
@@ -129,7 +129,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
     inside, known = flux[usable][:, pixels.aperture], None if pos_corr is None else pos_corr[usable]
     inside = columns.summed(inside)
     constant = np.zeros(1) if neighbors is not None else _constant_light(inside, known)
-    everywhere = isinstance(neighbors, str) or np.abs(constant).max() > _SEEN
+    everywhere = isinstance(neighbors, str) or np.abs(constant).max() > CLIP
     if not (given or everywhere) and pixels.own.all():
         return None
     image = typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
