@@ -24,7 +24,7 @@ from scope_models.correctors._pixels import LARGEST_CORRECTION, OTHER_STAR, at_r
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smooth import TRANSIT
-from scope_models.pixelmodel._star import MISFIT
+from scope_models.pixelmodel._star import MISFIT, SMALL_STEP
 
 __all__ = ["PLDFit"]
 
@@ -40,9 +40,8 @@ _SURVIVALS = (-0.05, 1.15)
 #: Tolerance: depth of the boxes of ``PLDFit.survival``: so many errors of their mean, within these
 #: bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
-#: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
-#: left, in errors.
-_REMOVALS, _NOTHING = 3, 0.2
+#: Tolerance: largest number of times that a transit is taken out of the pixels.
+_REMOVALS = 3
 #: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
 _LARGEST = 0.5
 #: Numbers of a fit that go into the metadata of its table.
@@ -603,7 +602,7 @@ class PLDFit:
         """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
         share = 1 - self.model.source.other_light
         taken, left, response = [0.0], [found], share
-        while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
+        while len(left) <= _REMOVALS and abs(left[-1]) > SMALL_STEP * error:
             step = left[-1] / response
             step = np.clip(step, *(_LARGEST / np.abs(column).max() * np.array([-1, 1])))
             taken.append(taken[-1] + step)

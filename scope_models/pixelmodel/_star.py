@@ -25,7 +25,7 @@ from scipy.linalg import solveh_banded
 from scope_models.pixelmodel._smooth import CLIP, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
-__all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "StarModel", "fit_star"]
+__all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "SMALL_STEP", "StarModel", "fit_star"]
 
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
@@ -36,10 +36,9 @@ _WIDTH_PRIOR = 0.2
 #: width changes the center of a Gaussian PSF by 2, its square by 3; what flows over the pixels'
 #: edges is an estimate. The data give that of constant light; this is where it begins.
 _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
-#: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
-#: positions and width are less than these parts of their errors, of the width that of its course
-#: or of a mean of 6.5 h.
-_MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: number of steps at most. A fit ends if steps are less than this part of their errors,
+#: here the median ones of brightness, both positions and width (of its course or a mean of 6.5 h).
+_MOST_STEPS, SMALL_STEP = 12, 0.2
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: largest change of the unit of the widths in a step, as a factor.
@@ -151,7 +150,7 @@ def _by_turns(stamp, states, shape, images=None, *, alone=False):
             states, shape, images = _with_unit(stamp, states, shape, images)
         states, errors = _fit_states(stamp, states, shape, images, functions)
         moved = np.abs(states.courses - before.courses) / errors
-        if shape.changes and (quantile(moved[:, stamp.use]) < _SMALL_STEPS).all():
+        if shape.changes and (quantile(moved[:, stamp.use]) < SMALL_STEP).all():
             break
     return states, shape, _images(stamp, states, shape, stamp.functions(states.position))
 
