@@ -46,9 +46,9 @@ _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
 #: than all others: what is different in each, as the seeing, would be in them.
 _MOST_OWN = 0.5
-#: Branch: time in days, and standard deviation of changes of the star within it above which
-#: constant light can be learned.
-_FAST, _STRONG = 0.25, 0.02
+#: Branch: standard deviation of changes of the star within 6.5 h above which constant light can be
+#: learned.
+_STRONG = 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 RESPONSE_PRIOR = 0.05
@@ -361,7 +361,7 @@ def _variable(stamp, columns, brightness):
     """
     use = stamp.use
     variable = change = brightness - 1
-    lag = round(_FAST / quantile(np.diff(stamp.time[use])))
+    lag = round(TRANSIT / quantile(np.diff(stamp.time[use])))
     lag = int(np.clip(lag, 2, use.sum() // 2))  # nights are short
 
     def changes(values):
