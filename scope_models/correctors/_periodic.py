@@ -44,9 +44,6 @@ _REACH, _PRECISION = 3.0, 0.1
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
 #: Tolerance: number of runs of a light curve that deviate as much by chance.
 _CHANCE = 0.1
-#: Tolerance: a search is for those that deviate by this part of the largest deviation: a deep
-#: transit bends the process around it.
-_PART = 0.5
 #: Tolerance: largest number of searches for waves and for short changes, and of steps of
 #: frequencies.
 _ROUNDS = 20
@@ -383,9 +380,8 @@ def _runs(data, mean, hyper):
             size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
             size /= 1.4826 * np.median(size)
             deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > limit)]
-        least = _PART * max(deviating, default=(0.0,))[0]
-        for size, *run in sorted(deviating, reverse=True):
-            if size > least and free[slice(*run)].all():
+        for _, *run in sorted(deviating, reverse=True):
+            if free[slice(*run)].all():
                 free[slice(*run)] = False
                 new.append(run)
         if not new:
