@@ -11,6 +11,7 @@ from scipy.signal import find_peaks
 from scipy.stats import t as student_t
 
 from scope_models.correctors._regression import SLOWEST, Hyperparameters, Posterior
+from scope_models.pixelmodel._star import SMALL_STEP
 
 __all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
 
@@ -23,12 +24,12 @@ _SIGNIFICANT = 40.0
 #: Tolerance: frequencies found in one round, and how far apart they are in units of one over the
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
-#: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
-#: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
-_NEAR, _STRONGEST = 0.3, 5
-#: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, a quarter
-#: of it after each step that led nowhere; and the last step, beside its error.
-_SHIFT, _SMALL_SHIFT = 0.2, 0.5
+#: Tolerance: a series is sought of which a wave is a harmonic up to this one.
+_STRONGEST = 5
+#: Tolerance: standard deviation of frequencies that are found, in the same unit, far less than the
+#: distance of two peaks: of multiples from another one, and the prior of a step, a quarter of it
+#: after each one that led nowhere.
+_SHIFT = 0.2
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -88,7 +89,7 @@ class _Waves:
                 waves = moved
             else:
                 size /= 4
-            if np.max(steps, initial=0.0) < _SMALL_SHIFT:
+            if np.max(steps, initial=0.0) < SMALL_STEP:
                 break
         return waves
 
@@ -256,7 +257,7 @@ def _with_series(waves, fit, n_most):
     """
     time = fit(waves).data.time
     length = np.ptp(time)
-    near = _NEAR / length
+    near = _SHIFT / length
 
     def multiples(frequencies, base):
         number = np.round(frequencies / base)
