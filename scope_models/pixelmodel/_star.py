@@ -38,7 +38,7 @@ _WIDTH_PRIOR = 0.2
 _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
 #: Tolerance: number of steps at most. A fit ends if steps are less than this part of their errors,
 #: here the median ones of brightness, both positions and width (of its course or a mean of 6.5 h).
-_MOST_STEPS, SMALL_STEP = 12, 0.2
+_MOST_STEPS, SMALL_STEP = 12, 0.15
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: largest change of the unit of the widths in a step, as a factor.
