@@ -41,8 +41,6 @@ _TOLERANCE, _MAX_RANK = 1e-3, 300
 #: files of other stars.
 _REACH = 2
 _OTHER_COMPONENTS = 10
-#: Prior: relative change of the PSF's width that is the unit of the focus.
-_FOCUS_UNIT = 2e-3
 #: Tolerance: largest number of cadences of which the pivots of a factor are chosen.
 _CANDIDATES = 4000
 #: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
@@ -490,7 +488,7 @@ def clean_columns(clean, share, usable, use):
     """
     size = np.maximum([part[use[usable]].std(axis=0) for part in clean.position.T], 1e-12)
     # in units of its size, a focus that hardly changes would explain the star's variability
-    focus = clean.focus[:, None] / _FOCUS_UNIT
+    focus = clean.focus[:, None]
     image, share = clean.still.mean(axis=0), share[*clean.grid.T[::-1]]
     change = np.linalg.norm(image * share / (image @ share) - image)
     # beyond predictions; weights of least squares follow a star that moves

@@ -8,8 +8,19 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._light import NEAREST, SHARE_ERROR, center_of_light, stars_of
-from scope_models.correctors._pixels import at_one_place, typical_image, without_background
+from scope_models.correctors._light import (
+    NEAREST,
+    PLACE,
+    SHARE_ERROR,
+    center_of_light,
+    stars_of,
+)
+from scope_models.correctors._pixels import (
+    REACH,
+    at_one_place,
+    typical_image,
+    without_background,
+)
 from scope_models.exceptions import DetrendingWarning
 from scope_models.fitting import FitOptions, fit_tpf
 from scope_models.fitting._start import make_prf
@@ -17,32 +28,24 @@ from scope_models.io.pixels import read_neighbors, star_places, target_among, us
 from scope_models.models import PRF
 from scope_models.pixelmodel._smooth import BLOCK, CLIP, nearness, polynomials
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, Columns, without_saturation
+from scope_models.pixelmodel._star import MISFIT, RESPONSE_PRIOR
 
 __all__ = [
     "WIDTH", "Crowd", "CrowdPixels", "NeighborLight", "given_neighbors", "learn",
     "light_of_neighbors", "track", "without_neighbors",
 ]  # fmt: skip
 
-#: Branch: given neighbors closer to the target (px) are the target, and those farther outside of
-#: the pixels have no light in them.
-_TARGET_ITSELF, _FARTHEST = 0.3, 5.0
-#: Branch: standard deviation from which on a star varies: what its position is uncertain by
-#: (0.02 px) times the change of the aperture's light with position (0.05 per px).
-_VARIES = 0.02 * 0.05
-#: Branch: standard deviations of what counts as seen, by a jackknife of so many parts of the time.
-_SEEN, _PARTS = 3.0, 10
+#: Tolerance: parts of the time of a jackknife.
+_PARTS = 10
 #: Tolerance: cadences that show the PRF.
 _FEW = 100
-#: Prior: standard deviation of the PRF about the first guess, in units of that made so many times
-#: as broad. Official PRFs of TESS (camera 2, CCD 3) differ from sums of Gaussians by three times as
-#: much or less: 0.1 of the peak in the core, 0.03 at 2.5 px and 0.001 at 5 px.
-_PRF, _BROAD = 0.03, 2.0
+#: Prior: errors of the PRF are in units of the first guess made so many times as broad.
+_BROAD = 2.0
 #: Prior: width and places (px) of the Gaussians. The process has sqrt(2) times this scale, for
 #: those PRFs are correlated by 0.93 over 0.5 px and by 0.7 over 1 px.
 _SIGMA, _CENTERS = 0.5**0.5, np.arange(-4, 4.5, 0.5)
-#: Prior: standard deviations of gains, and of a neighbor's flux (relative) and a place (px) about
-#: the first guess; and of relative widths.
-_GAIN, _FLUX, _PLACE, WIDTH = 0.015, 0.3, 0.3, 0.01
+#: Prior: standard deviations of a neighbor's flux about the first guess, and of widths, relative.
+_FLUX, WIDTH = 0.3, 0.01
 #: Tolerance: number of steps; a sixth one changes shares of the light by 1e-4.
 _STEPS = 5
 
@@ -91,12 +94,12 @@ def given_neighbors(neighbors, series, pixels):
     star = center_of_light(np.nan_to_num(image), pixels.core)
     if target is not None:
         places = places + star - target
-    if np.any(np.hypot(*(places - star).T) < _TARGET_ITSELF):
+    if np.any(np.hypot(*(places - star).T) < PLACE):
         raise ValueError(
-            f"`neighbors` must not hold the target itself: one is within {_TARGET_ITSELF} px of it"
+            f"`neighbors` must not hold the target itself: one is within {PLACE} px of it"
         )
     size = np.array(pixels.core.shape[::-1])
-    far = (np.abs(places - (size - 1) / 2) - size / 2 > _FARTHEST).any(axis=1)
+    far = (np.abs(places - (size - 1) / 2) - size / 2 > REACH).any(axis=1)
     if far.any():
         message = f"{far.sum()} of `neighbors` are far outside of the pixels and are left out"
         warnings.warn(message, DetrendingWarning, stacklevel=3)
@@ -126,7 +129,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
     inside, known = flux[usable][:, pixels.aperture], None if pos_corr is None else pos_corr[usable]
     inside = columns.summed(inside)
     constant = np.zeros(1) if neighbors is not None else _constant_light(inside, known)
-    everywhere = isinstance(neighbors, str) or np.abs(constant).max() > _SEEN
+    everywhere = isinstance(neighbors, str) or np.abs(constant).max() > CLIP
     if not (given or everywhere) and pixels.own.all():
         return None
     image = typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
@@ -197,7 +200,7 @@ def _with_priors(fit, series, few, box):
     expected = np.zeros((len(flux), 5))
     expected[:, 0] = typical
     expected[:, 1:3] = columns @ np.linalg.lstsq(columns[seen], places, rcond=None)[0]
-    place = _PLACE if series.pos_corr is None else POSITION_PRIOR
+    place = PLACE if series.pos_corr is None else POSITION_PRIOR
     sigma = np.broadcast_to([typical, place, place, WIDTH, typical], expected.shape)
     return CrowdPixels(flux, error, expected, sigma)
 
@@ -258,7 +261,8 @@ def _constant_light(light, pos_corr):
     if len(total) < _PARTS * columns.shape[1]:
         return none
     rest = total - functions @ np.linalg.lstsq(functions, total, rcond=None)[0]
-    if np.var(rest) - np.mean(np.diff(rest) ** 2) / 2 < _VARIES**2:
+    least = POSITION_PRIOR * RESPONSE_PRIOR  # what positions are uncertain by makes it vary
+    if np.var(rest) - np.mean(np.diff(rest) ** 2) / 2 < least**2:
         return none
     parts = np.array_split(np.arange(len(columns)), _PARTS)
     gram = np.array([columns[k].T @ columns[k] for k in parts])
@@ -361,9 +365,9 @@ class Crowd:
     def sizes(self):
         """Return prior standard deviations of the parameters but the gains."""
         x, y = np.meshgrid(_CENTERS / _BROAD, _CENTERS / _BROAD)
-        size = _PRF * self.prf.unit_images((1, 1), -x.ravel(), -y.ravel()).ravel()
+        size = SHARE_ERROR * self.prf.unit_images((1, 1), -x.ravel(), -y.ravel()).ravel()
         size *= np.diff(_CENTERS)[0] / (_SIGMA * np.sqrt(np.pi))  # squares of many add up
-        return np.concatenate([size, _FLUX * self.fluxes, np.full(self.away.size, _PLACE)])
+        return np.concatenate([size, _FLUX * self.fluxes, np.full(self.away.size, PLACE)])
 
 
 def _cadences(crowd, states, pixels):
@@ -393,14 +397,14 @@ def _cadences(crowd, states, pixels):
 def _moved(states, factor, seen):
     """Return states after a step."""
     step = np.linalg.solve(factor, seen[..., None])[..., 0]
-    step[:, 1:3] = np.clip(step[:, 1:3], -_PLACE, _PLACE)
+    step[:, 1:3] = np.clip(step[:, 1:3], -PLACE, PLACE)
     return states + step
 
 
 def learn(first, pixels):
     """Return a crowd that describes the pixels of some cadences."""
     crowd, states, m = first, pixels.expected, first.change.size
-    sizes = np.append(first.sizes(), np.full(first.gains.size, _GAIN))
+    sizes = np.append(first.sizes(), np.full(first.gains.size, MISFIT))
     whole = np.where(np.arange(len(sizes)) < m, sizes, 0.0)  # of the PRF, which stays
     for _ in range(_STEPS):
         root, rest, basis, factor, seen = _cadences(crowd, states, pixels)

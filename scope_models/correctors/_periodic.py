@@ -11,6 +11,7 @@ from scipy.signal import find_peaks
 from scipy.stats import t as student_t
 
 from scope_models.correctors._regression import SLOWEST, Hyperparameters, Posterior
+from scope_models.pixelmodel._star import SMALL_STEP
 
 __all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
 
@@ -23,13 +24,12 @@ _SIGNIFICANT = 40.0
 #: Tolerance: frequencies found in one round, and how far apart they are in units of one over the
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
-#: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
-#: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
-_NEAR, _STRONGEST = 0.3, 5
-#: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, a quarter
-#: of it after each step that led nowhere; and number of steps, which end with one that is small
-#: beside its error.
-_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.5
+#: Tolerance: a series is sought of which a wave is a harmonic up to this one.
+_STRONGEST = 5
+#: Tolerance: standard deviation of frequencies that are found, in the same unit, far less than the
+#: distance of two peaks: of multiples from another one, and the prior of a step, a quarter of it
+#: after each one that led nowhere.
+_SHIFT = 0.2
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -45,10 +45,8 @@ _REACH, _PRECISION = 3.0, 0.1
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
 #: Tolerance: number of runs of a light curve that deviate as much by chance.
 _CHANCE = 0.1
-#: Tolerance: a search is for those that deviate by this part of the largest deviation: a deep
-#: transit bends the process around it.
-_PART = 0.5
-#: Tolerance: largest number of searches for waves, and for short changes.
+#: Tolerance: largest number of searches for waves and for short changes, and of steps of
+#: frequencies.
 _ROUNDS = 20
 
 
@@ -85,13 +83,13 @@ class _Waves:
     def settled(self, fit):
         """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
         waves, size = self, _SHIFT
-        for _ in range(_STEPS):
+        for _ in range(_ROUNDS):
             moved, steps = waves._shifted(fit(waves), size)
             if fit(moved).log_likelihood > fit(waves).log_likelihood:
                 waves = moved
             else:
                 size /= 4
-            if np.max(steps, initial=0.0) < _SMALL_SHIFT:
+            if np.max(steps, initial=0.0) < SMALL_STEP:
                 break
         return waves
 
@@ -259,7 +257,7 @@ def _with_series(waves, fit, n_most):
     """
     time = fit(waves).data.time
     length = np.ptp(time)
-    near = _NEAR / length
+    near = _SHIFT / length
 
     def multiples(frequencies, base):
         number = np.round(frequencies / base)
@@ -383,9 +381,8 @@ def _runs(data, mean, hyper):
             size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
             size /= 1.4826 * np.median(size)
             deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > limit)]
-        least = _PART * max(deviating, default=(0.0,))[0]
-        for size, *run in sorted(deviating, reverse=True):
-            if size > least and free[slice(*run)].all():
+        for _, *run in sorted(deviating, reverse=True):
+            if free[slice(*run)].all():
                 free[slice(*run)] = False
                 new.append(run)
         if not new:

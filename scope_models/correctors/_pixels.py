@@ -22,17 +22,16 @@ from scope_models.pixelmodel._smooth import (
     quantile,
 )
 from scope_models.pixelmodel._stamp import FEWEST, full_columns, full_pixels
+from scope_models.pixelmodel._star import IMAGE_ERROR
 
 __all__ = [
-    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "WORSE", "Pixels", "aperture_pixels",
+    "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "REACH", "WORSE", "Pixels", "aperture_pixels",
     "at_one_place", "at_rows", "choose_aperture", "credible_flux", "noise_ratios", "scatter",
     "typical_image", "warn_of_pipeline", "without_background",
 ]  # fmt: skip
 
-#: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
-_SMALLEST_SHARE = 1e-3
-#: Branch: ... in this part of the cadences: light that a rare excursion carries out of the aperture
-#: would be lost.
+#: Branch: a pixel that holds light of the star in this part of the cadences may belong to the
+#: default aperture: light that a rare excursion carries out of it would be lost.
 _BRIGHT_PART = 0.002
 #: Branch: a correction that changes the flux by a larger factor than this, against the others, is
 #: none.
@@ -45,13 +44,14 @@ NOISIER = (
 )
 #: Tolerance: pixels farther from the aperture than this (px) are left out: tables of the PRFs of
 #: Kepler and TESS end 5.5 to 7.5 px from the star.
-_REACH = 7
+REACH = 7
 #: Branch: pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
-#: Branch: pixels of other stars count from this part of the star's brightest pixel on.
+#: Branch: light of other stars counts from this part of the star's on, in pixels of that of its
+#: brightest one.
 OTHER_STAR = 0.02
 
 
@@ -81,7 +81,7 @@ class Pixels:
     def near(self):
         """Slices of the rows and columns that may show the star: those around the aperture."""
         sides = (np.flatnonzero(self.aperture.any(axis=k)) for k in (1, 0))
-        return tuple(slice(max(side[0] - _REACH, 0), side[-1] + _REACH + 1) for side in sides)
+        return tuple(slice(max(side[0] - REACH, 0), side[-1] + REACH + 1) for side in sides)
 
     def full_columns(self, use, saturation):
         """Return which columns of the aperture are full, ``(nx,)``, at ``saturation``, e-/s."""
@@ -147,7 +147,7 @@ def choose_aperture(series, place):
     noise = np.nan_to_num(typical_image(series.flux_err[finite]))
     mean = np.median(values, axis=0)
     light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
-    lit = bright > np.maximum(CLIP * noise, _SMALLEST_SHARE * light)
+    lit = bright > np.maximum(CLIP * noise, IMAGE_ERROR * light)
     labels, _ = ndimage.label(lit)
     near = lit & series.aperture if (lit & series.aperture).any() else lit
     if not near.any():

@@ -14,8 +14,9 @@ __all__ = [
     "fit_hyperparameters", "log_likelihood",
 ]  # fmt: skip
 
-#: Prior: variance of the columns with flat priors, in units of the data's.
-FLAT = 1e4
+#: Prior: variance of the columns with flat priors, in units of the data's, and the largest one of a
+#: group's part of the model; the noise's factor is at least one over this.
+FLAT = 1e3
 #: Prior: standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
 #: Prior: and about its limit, beyond it.
@@ -32,11 +33,6 @@ _ROUNDS, _TOLERANCE = 5, 0.05
 #: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
 #: period a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
-#: Tolerance: the largest variance of a group's part of the model, in units of the data's. More is
-#: not needed, and less well conditioned.
-_LARGEST = 1e3
-#: Tolerance: least factor of the white noise's variance.
-_LEAST_NOISE = 1e-4
 #: Tolerance: a random walk is pulled back within so many days, which no file of one pointing lasts.
 FORGOTTEN = 100.0
 _value = attrgetter("value")
@@ -265,8 +261,8 @@ def _fit_scales(trial):
         return value + unlikely, slope + rise
 
     unit = np.log(data.spread / data.sizes)
-    least = np.log(_LEAST_NOISE / hyper.noise_scale)
-    bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
+    least = -np.log(FLAT * hyper.noise_scale)
+    bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(FLAT), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
     return trial.changed(np.array(variances), factor)
 
@@ -320,9 +316,9 @@ def _fit_process(trial):
         slope[:2] -= rise[0], rise[1:].sum()
         return unlikely - value, -slope[: len(theta)]
 
-    size = tuple(np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread]))
+    size = tuple(np.log([np.median(data.variance) / FLAT, FLAT * data.spread]))
     period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
-    bounds = [(np.log(_LEAST_NOISE), 16.0), (-8.0, 8.0), size, period, size]
+    bounds = [(-np.log(FLAT), 16.0), (-8.0, 8.0), size, period, size]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
     n = len(start) if hyper.walk else len(start) - 1
     scale, variance, *process = _minimize(objective, start[:n], bounds[:n], len(data.y))

@@ -20,30 +20,28 @@ from scope_models.correctors._light import (
     no_survival,
     transit_column,
 )
-from scope_models.correctors._pixels import LARGEST_CORRECTION, at_rows
+from scope_models.correctors._pixels import LARGEST_CORRECTION, OTHER_STAR, at_rows
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smooth import TRANSIT
-from scope_models.pixelmodel._star import MISFIT
+from scope_models.pixelmodel._star import MISFIT, SMALL_STEP
 
 __all__ = ["PLDFit"]
 
-#: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
-#: that measured fractions explain; and the noise's variance over FLUX_ERR squared.
-_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
+#: Warning: parts from which on a warning is given: outliers, transits outside of the mask or other
+#: light, changes of the flux that measured fractions explain; and the noise's variance over
+#: FLUX_ERR squared.
+_MANY, _FOLLOWING, _NOISY = 0.1, 0.05, 9.0
 #: Warning: smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
-#: Warning: part of a transit outside of the mask above which its depth is not trusted.
-_UNMASKED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
 #: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
 _SURVIVALS = (-0.05, 1.15)
 #: Tolerance: depth of the boxes of ``PLDFit.survival``: so many errors of their mean, within these
 #: bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
-#: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
-#: left, in errors.
-_REMOVALS, _NOTHING = 3, 0.2
+#: Tolerance: largest number of times that a transit is taken out of the pixels.
+_REMOVALS = 3
 #: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
 _LARGEST = 0.5
 #: Numbers of a fit that go into the metadata of its table.
@@ -355,14 +353,14 @@ class PLDFit:
                 "the star varies in a way that the model cannot follow, or pixels are damaged"
             )
         other = max(1 - self.crowding, self.contrast_error)
-        if self.contamination > _CONTAMINATED:
-            if self.contrast_error > _CONTAMINATED:
+        if self.contamination > OTHER_STAR:
+            if self.contrast_error > OTHER_STAR:
                 found.append(
                     f"{100 * self.contamination:.0f} % of the light in the aperture was taken off, "
                     "that of other stars: depths and amplitudes are uncertain by "
                     f"{100 * self.contrast_error:.0f} %"
                 )
-        elif other > _MANY or 1 - self.model.pixels.crowding > _CONTAMINATED:
+        elif other > _MANY or 1 - self.model.pixels.crowding > OTHER_STAR:
             found.append(
                 f"about {100 * other:.0f} % of the light in the aperture is of other stars: depths "
                 "and amplitudes are too small by as much"
@@ -585,7 +583,7 @@ class PLDFit:
             return np.nan, np.inf
         event = np.abs(column[usable, 0] - np.median(column[usable]))
         free = self.cadence_mask[usable]
-        if not self.joint and event[free].sum() > _UNMASKED * event.sum():
+        if not self.joint and event[free].sum() > _MANY * event.sum():
             message = (
                 "the transits were neither masked nor fitted jointly: part of their depth may be "
                 "in the variability or the systematics; `correct` with `transit_mask=` or "
@@ -604,7 +602,7 @@ class PLDFit:
         """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
         share = 1 - self.model.source.other_light
         taken, left, response = [0.0], [found], share
-        while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
+        while len(left) <= _REMOVALS and abs(left[-1]) > SMALL_STEP * error:
             step = left[-1] / response
             step = np.clip(step, *(_LARGEST / np.abs(column).max() * np.array([-1, 1])))
             taken.append(taken[-1] + step)

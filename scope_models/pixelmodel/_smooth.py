@@ -7,8 +7,8 @@ from scipy.spatial.distance import cdist
 
 __all__ = [
     "BLOCK", "CLIP", "COORDINATES", "DARK_PART", "ENOUGH", "FEWEST_DARK", "NO_WEIGHT", "REWEIGHTS",
-    "TRANSIT", "Features", "Flow", "Smoother", "dark_plane", "nearness", "pivoted_cholesky",
-    "polynomials", "precise_aperture", "quantile",
+    "TRANSIT", "Features", "Flow", "Smoother", "dark_plane", "nearness",
+    "pivoted_cholesky", "polynomials", "precise_aperture", "quantile",
 ]  # fmt: skip
 
 #: Prior: degree of the polynomials of position by which light changes.
@@ -31,8 +31,6 @@ NO_WEIGHT = 1e-6
 #: Tolerance: widths in cadences of the kernels that are tried to smooth the focus and the
 #: background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
-#: Tolerance: kernels of this width and wider ones are convolved by Fourier transforms.
-_WIDE = 12.0
 #: Branch: outliers exceed so many standard deviations, as noise does in one of 300,000 pixels.
 CLIP = 4.5
 #: Prior: duration in days of a transit of a habitable planet, of which CDPP is the noise
@@ -249,11 +247,6 @@ class Smoother:
         course = mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
         return course, np.sqrt(noise)
 
-    def without_dips(self, values, start, width):
-        """Return values, and robust local lines of a width in place of outliers."""
-        smooth, size = self.lines(values, start, width)[:2]
-        return np.where(np.abs(values - smooth) > CLIP * 1.4826 * size, smooth, values)
-
     def lines(self, values, start, width, weight=None):
         """Return robust local linear fits, the median of leave-one-out errors, weights, and noise.
 
@@ -283,15 +276,9 @@ class Smoother:
         if width not in self._kernels:
             d = np.arange(-half, half + 1.0)
             kernels = np.exp(-0.5 * (d / width) ** 2) * np.array([d**0, -d, d * d])
-            self._kernels[width] = rfft(kernels, size) if width >= _WIDE else kernels
-        kernels = self._kernels[width]
-        if width < _WIDE:
-            pairs = [(grid[0], k) for k in kernels] + [(grid[1], k) for k in kernels[:2]]
-            moments = np.array([np.convolve(values, k)[half:-half] for values, k in pairs])
-        else:
-            whole = rfft(grid, size)
-            moments = irfft(whole[[0, 0, 0, 1, 1]] * kernels[[0, 1, 2, 0, 1]], size)[:, half:]
-        return moments[:, self._index]
+            self._kernels[width] = rfft(kernels, size)
+        whole, kernels = rfft(grid, size)[[0, 0, 0, 1, 1]], self._kernels[width][[0, 1, 2, 0, 1]]
+        return irfft(whole * kernels, size)[:, half:][:, self._index]
 
 
 def quantile(values, part=0.5):

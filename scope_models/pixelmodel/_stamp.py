@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from scope_models.pixelmodel._smooth import (
     ENOUGH,
     FEWEST_DARK,
+    NO_WEIGHT,
     REWEIGHTS,
     TRANSIT,
     Features,
@@ -30,8 +31,6 @@ POSITION_PRIOR = 0.02
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 #: Tolerance: what is left of kernels at most.
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-#: Branch: POS_CORR that deviates by more is wrong (px).
-_ABSURD = 12.0
 #: Prior: degree of the waves along the rows in cadences with rolling bands.
 _BANDS = 4
 #: Tolerance: width (px) of the rings of the star's profile.
@@ -47,8 +46,6 @@ _DRAWN_WIDTH = 0.6
 #: Branch: a column constrains the row if it holds this share of the light, with twice it fully:
 #: the center of less is that of the background.
 _SMALLEST_SHARE = 5e-3
-#: Tolerance: weight of the center of all light, where no column constrains the row, and of no tilt.
-_LEAST = 1e-6
 
 
 def full_pixels(images, use, saturation):
@@ -132,12 +129,13 @@ def find_row_centers(images, aperture, use, saturation):
     distance = columns - (share @ columns)[:, None]
     knots = np.arange(-len(columns), len(columns) + 1)
     tilt = np.clip(1 - np.abs(distance[..., None] - knots), 0, None)
-    total = weight.sum(axis=1, keepdims=True) + _LEAST
-    row = np.sum((weight + _LEAST * share) * center, axis=1, keepdims=True) / total
+    # without such columns, the center of all light is the row, and there is no tilt
+    total = weight.sum(axis=1, keepdims=True) + NO_WEIGHT
+    row = np.sum((weight + NO_WEIGHT * share) * center, axis=1, keepdims=True) / total
     # the equations of the tilt alone: at any tilt, the best row is the mean of what it leaves
     mean = np.einsum("ij,ijk->ik", weight, tilt) / total
     normal = np.einsum("ij,ija,ijb->ab", weight[use], tilt[use], tilt[use], optimize=True)
-    normal += _LEAST * np.eye(len(knots)) - (total * mean)[use].T @ mean[use]
+    normal += NO_WEIGHT * np.eye(len(knots)) - (total * mean)[use].T @ mean[use]
     right = np.einsum("ij,ijk->k", (weight * (center - row))[use], tilt[use])
     h = np.linalg.solve(normal, right)
     return row + tilt @ h - (mean @ h)[:, None]
@@ -245,7 +243,7 @@ def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=
     if banded.any():
         waves = _wave_sizes((flux - typical)[:, dark] / unit, banded, use, smoothed.step)
     inside = own[:, aperture], grid[aperture], columns.single[aperture]
-    center, expected, known = _expected(*inside, position, total / unit, use)
+    center, expected, known = _expected(*inside, position, total / unit, use, 1 + np.ptp(grid))
     grid = np.where(columns.single[:, None], grid, [1, 0] * grid + [0, 1] * center)
     away = grid - center - expected[use, None]
     scale = _most_light(own[use], 3 * np.sqrt(quantile(noise[use].T)), away)
@@ -283,10 +281,11 @@ def _wave_sizes(change, banded, use, step):
     return np.sqrt(np.maximum(excess, 0.0))
 
 
-def _expected(light, grid, single, position, total, use):
+def _expected(light, grid, single, position, total, use, size):
     """Return the typical place of the star, positions relative to it, and where POS_CORR is known.
 
-    Elsewhere positions are centroids in its scale.
+    Elsewhere, or where it is wrong by more than the ``size`` of the stamp (px), positions are
+    centroids in its scale.
     """
     centroid = light @ grid / total[:, None]
     if 0 < single.sum() < len(single):  # full columns do not show the row
@@ -297,7 +296,7 @@ def _expected(light, grid, single, position, total, use):
     offset = np.where(known[:, None], position, 0.0)
     fit = known & use
     middle = quantile(offset[fit].T) if fit.any() else np.zeros(2)
-    known &= np.abs(offset - middle).max(axis=1) < _ABSURD
+    known &= np.abs(offset - middle).max(axis=1) < size
     fit &= known
     if fit.sum() < 0.2 * use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
         return center, centroid, np.ones(len(known), dtype=bool)

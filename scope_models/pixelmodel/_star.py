@@ -22,10 +22,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.linalg import solveh_banded
 
-from scope_models.pixelmodel._smooth import CLIP, NO_WEIGHT, TRANSIT, quantile
+from scope_models.pixelmodel._smooth import CLIP, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
-__all__ = ["IMAGE_ERROR", "MISFIT", "StarModel", "fit_star"]
+__all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "SMALL_STEP", "StarModel", "fit_star"]
 
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
@@ -36,10 +36,9 @@ _WIDTH_PRIOR = 0.2
 #: width changes the center of a Gaussian PSF by 2, its square by 3; what flows over the pixels'
 #: edges is an estimate. The data give that of constant light; this is where it begins.
 _CHANGES = {"width": 2.0, "squared": 3.0, "constant": 1.0}
-#: Tolerance: number of steps at most. The fit ends if the median steps of brightness, both
-#: positions and width are less than these parts of their errors, of the width that of its course
-#: or of a mean of 6.5 h.
-_MOST_STEPS, _SMALL_STEPS = 12, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: number of steps at most. A fit ends if steps are less than this part of their errors,
+#: here the median ones of brightness, both positions and width (of its course or a mean of 6.5 h).
+_MOST_STEPS, SMALL_STEP = 12, 0.15
 #: Tolerance: largest changes in a step of brightness, both positions (px) and width.
 _LARGEST = np.array([[0.3], [0.1], [0.1], [_WIDTH_PRIOR]])
 #: Tolerance: largest change of the unit of the widths in a step, as a factor.
@@ -47,18 +46,15 @@ _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
 #: than all others: what is different in each, as the seeing, would be in them.
 _MOST_OWN = 0.5
-#: Branch: time in days, and standard deviation of changes of the star within it above which
-#: constant light can be learned.
-_FAST, _STRONG = 0.25, 0.02
+#: Branch: standard deviation of changes of the star within 6.5 h above which constant light can be
+#: learned.
+_STRONG = 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
-_RESPONSE_PRIOR = 0.05
+RESPONSE_PRIOR = 0.05
 #: Prior: relative error of a pixel's light where no other cadence shows the star, that of responses
 #: of pixels (1 %, Kepler Instrument Handbook).
 MISFIT = 0.01
-#: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
-#: focus.
-_SLOW = 0.05
 
 
 @dataclass(frozen=True)
@@ -73,12 +69,12 @@ class StarModel:
     light: np.ndarray  # e-/s, (n,)
     light_error: np.ndarray  # standard deviation of its noise, e-/s, (n,)
     shares: np.ndarray  # fractions of this light (n, n_pixels), 0 outside of the aperture
-    still: np.ndarray  # those of the light at the width without short dips; they add up to 1
+    still: np.ndarray  # those of the light that the aperture holds; they add up to 1
     outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
     background: np.ndarray  # e-/s, (n, n_pixels)
     position: np.ndarray  # relative to the median, px, (n, 2)
     variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
-    focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
+    focus: np.ndarray  # relative change of the PSF's width, (n,)
     constant: float  # part of the light that does not vary with the star, at least
     misfit: np.ndarray  # what pixels show beyond the model, over the light, 0 outside (n, n_pixels)
     level: np.ndarray  # what the background has beyond its smooth course, over the light, (n,)
@@ -154,7 +150,7 @@ def _by_turns(stamp, states, shape, images=None, *, alone=False):
             states, shape, images = _with_unit(stamp, states, shape, images)
         states, errors = _fit_states(stamp, states, shape, images, functions)
         moved = np.abs(states.courses - before.courses) / errors
-        if shape.changes and (quantile(moved[:, stamp.use]) < _SMALL_STEPS).all():
+        if shape.changes and (quantile(moved[:, stamp.use]) < SMALL_STEP).all():
             break
     return states, shape, _images(stamp, states, shape, stamp.functions(states.position))
 
@@ -365,7 +361,7 @@ def _variable(stamp, columns, brightness):
     """
     use = stamp.use
     variable = change = brightness - 1
-    lag = round(_FAST / quantile(np.diff(stamp.time[use])))
+    lag = round(TRANSIT / quantile(np.diff(stamp.time[use])))
     lag = int(np.clip(lag, 2, use.sum() // 2))  # nights are short
 
     def changes(values):
@@ -375,7 +371,7 @@ def _variable(stamp, columns, brightness):
     fast, right = changes(columns), changes(change)
     for _ in range(3):
         noise = np.mean(changes(variable) ** 2) / 2
-        gram = fast.T @ fast + noise / _RESPONSE_PRIOR**2 * np.eye(fast.shape[1])
+        gram = fast.T @ fast + noise / RESPONSE_PRIOR**2 * np.eye(fast.shape[1])
         variable = change - columns @ np.linalg.solve(gram, fast.T @ right)
     jumps = np.mean(np.diff(variable[use]) ** 2)
     strong = np.mean(changes(variable) ** 2) - jumps > 2 * _STRONG**2
@@ -443,18 +439,12 @@ def _constant_light(stamp, images, error):
 
 
 def _result(stamp, states, images, flux_err, image_error):
-    """Return the `StarModel` of states and images.
-
-    Beside constant light the image is narrower or wider in a dip of the star: in fractions and
-    light, the width has no short dips.
-    """
-    inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
+    """Return the `StarModel` of states and images."""
+    inside = stamp.aperture
     drawn = stamp.columns.drawn
     slopes = np.array([slope[stamp.use].mean(axis=0) for slope in images.slopes])
     mean = images.still[stamp.use].mean(axis=0)[None]
-    focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
-    kept = _kept(stamp, states, images, focus)
-    still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
+    kept = _kept(stamp, states, images, states.focus)
     rest = np.where(states.good & inside, _rest(stamp, states, images), 0.0)
     more = rest.sum(axis=1)
     light = states.brightness + more
@@ -467,12 +457,12 @@ def _result(stamp, states, images, flux_err, image_error):
         light=stamp.unit * light * kept,
         light_error=np.sqrt(variance) * kept,
         shares=drawn(whole) / kept[:, None],
-        still=drawn(np.where(inside, still, 0.0)),
+        still=drawn(whole),
         outside=images.still @ ~inside,
         background=stamp.unit * (states.plane @ stamp.terms.T),
         position=states.position,
         variable=states.variable,
-        focus=focus,
+        focus=states.focus,
         constant=_constant_light(stamp, images, image_error),
         misfit=drawn(rest / light[:, None], mean),
         level=level / light,

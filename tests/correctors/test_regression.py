@@ -26,8 +26,8 @@ def log_likelihood(data, hyper):
 
 
 def flat_variance(data):
-    """Flat means a standard deviation of a hundred times the data's."""
-    return 1e4 * max(np.var(data.y), np.median(data.variance))
+    """Flat means a standard deviation of some thirty times the data's."""
+    return 1e3 * max(np.var(data.y), np.median(data.variance))
 
 
 def dense_covariance(data, hyper):
