@@ -347,8 +347,8 @@ def short_changes(solution):
 
 
 def with_edges(time, short):
-    """Return cadences of short changes with those around them, where they may begin."""
-    return ndimage.binary_dilation(short, iterations=_width(time))
+    """Return short changes, or their sizes, with cadences around them, where they may begin."""
+    return ndimage.maximum_filter(short, 2 * _width(time) + 1)
 
 
 def _width(time):

@@ -258,11 +258,12 @@ class Solution:
         return self._with_more(columns, n_short=columns.shape[1])
 
     def without_short(self, allowed):
-        """Return the model, not fitted, of allowed cadences that are in no short change."""
-        columns = slice(self.n_trend, self.n_trend + self.n_short)
-        short = with_edges(self.time, self.flat[:, columns].any(axis=1))
-        flat = np.delete(self.flat, columns, axis=1)
-        return replace(self, flat=flat, n_short=0, short=short, hyper=None, use=allowed & ~short)
+        """Return the model, not fitted, of allowed cadences in no short change, and their sizes."""
+        first, last = self.n_trend, self.n_trend + self.n_short
+        size = with_edges(self.time, np.abs(self._flat_part(first, last)))
+        short, flat = size > 0, np.delete(self.flat, slice(first, last), axis=1)
+        use = allowed & ~short
+        return replace(self, flat=flat, n_short=0, short=short, hyper=None, use=use), size
 
     def with_waves(self, waves, use):
         """Return the same model with periodic variability and other cadences."""
@@ -343,10 +344,14 @@ def _with_variability(first, fitted, use, *, search_short):
             rotation = find_rotation(solution, periodic.unexplained)
             likely = max(likely, likeliest(first.with_waves(rotation, use)), key=evidence)
         solution = likely
-    if solution.n_short:  # its shape is not learned from
-        solution = solution.without_short(use)
-        use = solution.use
+    if solution.n_short:  # left out, but where systematics would be more uncertain than its size
+        solution, size = solution.without_short(use)
         solution = fitted(solution)
+        needed = use & solution.short & (solution.systematics_variance > size**2)
+        if needed.any():
+            short = solution.short & ~needed
+            solution = fitted(replace(solution, use=solution.use | needed, short=short))
+        use = use & ~solution.short
     scale = solution.hyper.noise_scale
     if np.log(scale) > _NOISE_ERROR:
         hyper = replace(solution.hyper, walk=scale * np.median(solution.variance))
