@@ -126,13 +126,11 @@ def one_ccd(folder, axes, n_stars=7):
         found = [measured(f"{name} {star}", tpf) for star, tpf in tpfs]
         numbers, text = [one[0] for one in found], f"{len(found)} {name} stars of one CCD"
         together(text, numbers)
-        errors = [1e6 * error for _, error, _ in numbers]
-        moved = [np.hypot(*one[3]) for one in found]
-        axes.loglog(moved, errors, "s^"[name == "real"], label=text)
+        moved, marker = [np.hypot(*one[3]) for one in found], "s^"[name == "real"]
+        axes.loglog(moved, [1e6 * error for _, error, _ in numbers], marker, label=text)
     print(f"truth of the simulated stars: {1e6 * np.mean(truths):.0f} ppm")
-    axes.axhline(1e6 * np.mean(truths), color="0.4", label="k2_calibrated, 19 %")
-    axes.set(xlabel="Motion (pixel)", ylabel="Error of the amplitude (ppm)")
-    axes.set_title("What each star of one CCD gives")
+    axes.axhline(1e6 * np.mean(truths), color="0.4", label="true amplitude, simulated")
+    axes.set(xlabel="Motion (pixel)", ylabel="Error (ppm)", title="Amplitudes of stars of one CCD")
 
 
 def report(folder):
