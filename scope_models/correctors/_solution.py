@@ -236,6 +236,24 @@ class Solution:
             solution = replace(solution, use=use)
         return solution
 
+    def with_returned(self, allowed, options):
+        """Take back allowed cadences that only seemed to be outliers beside others.
+
+        Those that still are outliers are left out again, the farther half at a time.
+        """
+        deviations = np.abs(self.deviations(allowed))
+        limit = 1.4826 * options.sigma * np.median(deviations[self.use[allowed]])
+        returned = np.zeros_like(allowed)
+        returned[allowed] = deviations < limit
+        returned &= ~self.use
+        while returned.any():
+            solution = replace(self, use=self.use | returned)
+            deviations = np.abs(solution.deviations(solution.use))[returned[solution.use]]
+            if deviations.max() < limit:
+                return solution
+            returned[returned] = deviations < max(limit, deviations.max() / 2)
+        return self
+
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
         whole = self._with_weights(np.ones_like(self.use))
@@ -318,9 +336,11 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
         options.n_trend, predicted=predicted, scale=scale[-1],
     )  # fmt: skip
     fitted = partial(_without_outliers, make_regressors=make_regressors, options=options)
-    if options.trend != "gp":
-        return fitted(first)
-    return _with_variability(first, fitted, use, search_short=options.max_clips > 0)
+    if options.trend == "gp":
+        solution = _with_variability(first, fitted, use, search_short=options.max_clips > 0)
+    else:
+        solution = fitted(first)
+    return solution.with_returned(use & ~solution.short, options)
 
 
 def _with_variability(first, fitted, use, *, search_short):
