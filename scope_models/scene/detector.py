@@ -304,9 +304,9 @@ class Detector(Value):
         Every value is that of `k2` but these, of ``python studies/paper/calibrate_k2_motion.py``
         (see the page on calibration). The sensitivity along both axes, :math:`(1 + a_2 u^2) / (1 +
         a_2 / 12)`, has the mean 1 over a pixel; :math:`a_2 = -0.5` (-0.8 to -0.5) is fitted, as
-        is the normal interpixel scatter of 0.009 (0 to 0.01). The ranges of 95 % hold for the PSF's
-        wings of 20 %, which are chosen, with widths from Kepler's PRF: 45 % of the light in the
-        brightest pixel and 95 % within a diameter of 4.2 px (Kepler telescope page, medians).
+        is the normal interpixel scatter of 0.009 (0 to 0.0095). These 95 % ranges hold for the
+        PSF's wings of 20 %, which are chosen, with widths from Kepler's PRF: 45 % of the light in
+        the brightest pixel and 95 % within a diameter of 4.2 px (Kepler telescope page, medians).
 
         Examples
         --------

@@ -543,7 +543,7 @@ class Motion(Value):
         --------
         >>> from scope_models import Motion
         >>> print(Motion.k2_final_campaign(campaign=18).statistics(exclude=4))
-        0.131 +- 0.090 px, max 0.623 px, extent 0.97 px
+        0.127 +- 0.083 px, max 0.550 px, extent 0.92 px
         """
         if campaign not in _LAST:
             raise ValueError(f"`campaign` must be 18 or 19, got {campaign!r}")

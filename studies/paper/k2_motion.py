@@ -37,8 +37,8 @@ class K2MotionNoise:
     stars: int = 60  # per magnitude and detector, all over the field; the same are in all bins
     cadences: int = 1000  # at a random time of the campaign, which has 3380
     shift: float = 0.5  # px from the middle of a pixel; the paper has 0.2
-    threshold: float = 63.0  # T in e-/s, fitted
-    exponent: float = 0.75  # g, fitted
+    threshold: float = 80.0  # T in e-/s, of `calibrate_k2_motion`
+    exponent: float = 0.25  # g, also
     saturated_part: float = 1e-4  # part of a saturated star's flux that a pixel of its aperture has
 
 

@@ -157,7 +157,8 @@ def test_adopted_values_agree_best_with_the_medians_within_95_percent(repository
     one, _, square = Detector.k2_calibrated().sensitivity.x_coefficients
     found = square / one, Detector.k2_calibrated().interpixel_scatter
     assert (row["a_2"], row["scatter"]) == pytest.approx(found)
-    assert (row["threshold"], row["exponent"]) == (study.threshold, study.exponent)
+    law = study.threshold, study.exponent
+    assert table.meta["wings 0.2"] == pytest.approx([row["a_2"], row["scatter"], *law])
 
 
 @pytest.mark.slow
@@ -206,5 +207,6 @@ def test_noise_is_that_of_campaign_3():
             noise = np.where(order < part * order.size, np.hypot(motion[0], white[0]), small)
             ratios.append(np.median(noise) / table["median"][table["mag"] == mag][0])
     paper, ours = np.reshape(ratios, (2, 8))
-    assert np.abs(ours - 1).max() < 0.25
+    # One power law of apertures leaves so much; the error of a median of 480 stars is 5 %.
+    assert np.abs(ours - 1).max() < 0.3
     assert paper.max() < 0.5
