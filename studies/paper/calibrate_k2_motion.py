@@ -11,7 +11,7 @@ e-/s, F being its flux and F_14 that at Kp 14. Five percentiles of both groups a
 Fainter stars have noise that the model lacks: their medians only choose T and g of the studies.
 
 The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
-by its number of stars, and 10 % for what the model lacks. Errors of the fit come from resampling.
+by its number of stars, and 10 % for what the model lacks. The contours are the fit's errors.
 Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
 and g. Prints the point within 95 % whose medians agree best, and the T and g with which those of
 all unsaturated stars agree best there. Takes about 20 minutes on one core.
@@ -55,7 +55,6 @@ COLUMNS = {"wings": 2, "a_2": 2, "scatter": 4, "threshold": 0, "exponent": 2, "c
 LOG_SCATTER = 0.85  # of the noise of real stars of one magnitude
 MODEL_ERROR = 0.1
 LIKELY = 6.2  # chi-squared of 95 % for two parameters
-RESAMPLES = 40
 CHUNK = 30  # stars in memory
 
 
@@ -127,16 +126,6 @@ def costs(ours, known, error):
     return cost, np.abs(np.expm1(ratio[..., 2])).max(axis=-1)
 
 
-def resampled(systematics, white, known, error, rng):
-    """Return a_2 and scatter of the best fit to resampled stars and reference."""
-    picks = rng.integers(white.shape[-1], size=white.shape[-1])
-    shaken = known + error * rng.standard_normal(known.shape)
-    ours = percentiles(systematics[..., picks], white[..., picks])
-    cost, _ = costs(ours[..., BRIGHT, :], shaken[BRIGHT], error[BRIGHT])
-    _, i, j = np.unravel_index(np.argmin(cost), cost.shape)
-    return FINE_A_2[i], FINE_SCATTER[j]
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stars", type=int, default=1000)
@@ -149,7 +138,7 @@ def main():
             for one in [read_reference("k2_c03_raw", kind)]]  # fmt: skip
     known = np.log([[row[name] for name in PERCENTILES] for row in rows])
     error = LOG_SCATTER * SPREAD / np.sqrt([[row["n"]] for row in rows])
-    rng, table = np.random.default_rng(options.seed), Table(names=list(COLUMNS))
+    table = Table(names=list(COLUMNS))
     table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
                   "cadences": options.cadences, "seed": options.seed}  # fmt: skip
     for wings in options.wings:
@@ -169,9 +158,6 @@ def main():
         law = np.argmin(np.abs(ratios).max(axis=1))
         table.meta[f"wings {wings}"] = [FINE_A_2[i].round(2), FINE_SCATTER[j].round(4), *LAWS[law]]
         print(part[np.argmin(part["cost"])], part[row], LAWS[law], np.exp(ratios[law]).round(2))
-        fits = [resampled(*noise, known, error, rng) for _ in range(RESAMPLES)]
-        low, high = np.percentile(fits, [16, 84], axis=0).round(4)
-        print(f"resampled, 16 to 84 %: a_2, scatter {low} to {high}", flush=True)
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 
 
