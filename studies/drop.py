@@ -174,7 +174,7 @@ def main():
     figure = report(sys.argv[1])
     one_ccd(sys.argv[1], figure.axes[2])
     for axes in figure.axes:
-        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
+        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
     figure.savefig(sys.argv[2] if len(sys.argv) > 2 else "drop.png", dpi=110)
 
 
