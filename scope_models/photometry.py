@@ -550,6 +550,7 @@ def _lightkurve_cdpp(time, flux, width, filter_window):
 
 
 def _clipped_trend(time, flux, filter_window):
+    """Savitzky-Golay trend through the points that are not outliers from it."""
     kept = np.flatnonzero(np.abs(flux - np.median(flux)) <= 3 * np.std(flux))
     for _ in range(3):
         steps = np.diff(time[kept])

@@ -40,7 +40,7 @@ SHOWN = {
         "a_2": "a_2",
         "scatter": "standard deviation of b",
         "threshold": "T",
-        "exponent": "g",
+        "part": "p",
         "cost": "chi-squared",
         "worst_median": "medians within",
     },

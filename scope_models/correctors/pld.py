@@ -321,6 +321,7 @@ class PLDCorrector(Corrector):
             raise ValueError("call `correct` first")
 
     def _fitted(self):
+        """Return the last fit, or raise an error."""
         self._check_corrected()
         if self.result is None:
             raise ValueError("the last correction found nothing to correct")

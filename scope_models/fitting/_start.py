@@ -24,8 +24,8 @@ from scope_models.io.pixels import (
 from scope_models.pixelmodel._smooth import COORDINATES, nearness
 
 __all__ = [
-    "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
-    "make_prf", "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
+    "APART", "PixelData", "centroids", "continued_state", "find_stars", "is_faint", "linear_start",
+    "located", "make_prf", "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
     "with_response",
 ]  # fmt: skip
 
@@ -297,18 +297,36 @@ def starting_state(problem):
     xy, positions = centroids(problem.data, problem.target), problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
     if problem.data.pos_corr is not None and positions != "free":
-        good = np.ones(len(xy), dtype=bool)
-        for _ in range(5):  # without outliers of four standard deviations
-            fitted = np.linalg.lstsq(problem.basis[good], xy[good], rcond=None)[0]
-            distance = np.hypot(*(xy - problem.basis @ fitted).T)
-            good = distance <= 6 * np.median(distance) + 1e-6
+        fitted = _path(problem, xy)
         if positions != "start":
             shared[problem.affine] = fitted.T.ravel()
         xy = problem.basis @ fitted
+    return _at(problem, xy, np.clip(shared, *problem.bounds), np.zeros(problem.n_pixels))
+
+
+def continued_state(problem, solution):
+    """Return the state of all cadences from the solution for some of them."""
+    if problem.data.pos_corr is None or problem.options.positions == "free":
+        xy = centroids(problem.data, problem.target)
+    else:
+        xy = problem.basis @ _path(solution.problem, solution.state.cadence[:, :2])
+    return _at(problem, xy, solution.state.shared, solution.state.interpixel)
+
+
+def _path(problem, xy):
+    """Return positions as a linear function of POS_CORR, without outliers: ``(3, 2)``."""
+    good = np.ones(len(xy), dtype=bool)
+    for _ in range(5):  # of four standard deviations
+        fitted = np.linalg.lstsq(problem.basis[good], xy[good], rcond=None)[0]
+        distance = np.hypot(*(xy - problem.basis @ fitted).T)
+        good = distance <= 6 * np.median(distance) + 1e-6
+    return fitted
+
+
+def _at(problem, xy, *shared):
     cadence = np.zeros((len(xy), len(problem.columns)))
     cadence[:, :2] = xy
-    shared = np.clip(shared, *problem.bounds)
-    return linear_start(problem, State(shared, np.zeros(problem.n_pixels), cadence))
+    return linear_start(problem, State(*shared, cadence))
 
 
 def centroids(data, place=None):

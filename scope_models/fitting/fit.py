@@ -279,15 +279,12 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
     a response between pixels is given up, for it is better without.
     """
     steps = partial(steps, max_steps=min(problem.options.max_steps, most))
-    state = _start.starting_state(problem)
-    # What the shape of the PSF can imitate waits until that is about right.
-    early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
-    if guess is not None:
-        state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
-        if problem.data.pos_corr is not None and problem.options.positions != "free":
-            found = np.linalg.lstsq(guess.problem.basis, guess.state.cadence[:, :2])[0]
-            state.cadence[:, :2] = problem.basis @ found
-        state = _start.linear_start(problem, state)
+    if guess is None:
+        state = _start.starting_state(problem)
+        # What the shape of the PSF can imitate waits until that is about right.
+        early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
+    else:
+        state = _start.continued_state(problem, guess)
         early, most = {"n_steps": guess.n_steps}, np.inf
     if guess is None or problem.options.loss == "soft_l1":
         problem = problem.rescaled(state)  # else all residuals are outliers to a robust loss

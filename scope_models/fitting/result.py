@@ -623,6 +623,12 @@ def _flux_doubts(fit):
     light, error = np.mean(fit.flux), np.sqrt(np.mean(fit.flux_scatter**2) / len(fit.flux))
     if abs(light) < LARGEST_SCATTER * error:
         yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
+    # what all cadences have in common, which only a PSF knows
+    if fit.response and (part := np.median(fit.flux_err / np.abs(fit.flux))) > 1 / CERTAIN:
+        yield (
+            f"the flux of all cadences is uncertain by {100 * part:.2g} %, for their PSF is not "
+            "known: give the `psf`; from cadence to cadence the error is `flux_scatter`"
+        )
     for number, star in enumerate((fit, *fit.neighbors)):
         if negative := np.sum(star.flux < -CERTAIN * star.flux_err):
             name = f"neighbor {number}" if number else "the star"

@@ -157,6 +157,7 @@ def column_cards(rows, titles):
 
 
 def _encoded(value):
+    """Return a 32-bit number as the 16 letters and digits of the card CHECKSUM."""
     letters = [0] * 16
     for i, byte in enumerate(value.to_bytes(4, "big")):
         quarter, rest = divmod(byte, 4)

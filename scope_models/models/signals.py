@@ -119,6 +119,7 @@ class TransitModel(Fittable1DModel):
         return super().__call__(*args, **kwargs)
 
     def _in_units(self, *values):
+        """Return the parameters, or values of them, in their documented units."""
         values = values or [value_of(getattr(self, name)) for name in self.param_names]
         given = zip(self.param_names, values, strict=True)
         plain = {name: plain_array(v, _UNITS.get(name, u.one), name).item() for name, v in given}

@@ -39,7 +39,7 @@ __all__ = [
     "read_scene", "scene_columns", "write_object",
 ]  # fmt: skip
 
-_VERSION = 4
+_VERSION = 3
 # Fields that files of version 2 lack, and whose effect was another then.
 _OLD_FIELDS = {"Undershoot": {"residual": 1.0}}
 
@@ -75,10 +75,7 @@ def read_scene(path):
         detector = make_detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
         effects = [_make_effect(effect) for effect in described["effects"]]
-        kinds = [*map(type, (*detector.effects, *effects))]
-        listed = {"listed": described["version"] < 4 and len(set(kinds)) < len(kinds)}
-        options = listed | {"effects": effects} | described["options"]
-        return Scene(stars, detector, _motion(truth), **options)
+        return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
 
 
 def read_detector(path):
@@ -307,6 +304,7 @@ def _detector_of_toml(values):
 
 
 def _combined(values, name, combine, default=None):
+    """Return the sum or the product of the models that tables describe."""
     given = _named(values[name], name, "model", default)
     return reduce(combine, (make_model({"class": k, "parameters": p}) for k, p in given))
 

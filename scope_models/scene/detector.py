@@ -303,8 +303,8 @@ class Detector(Value):
         -----
         Every value is that of `k2` but these, of ``python studies/paper/calibrate_k2_motion.py``
         (see the page on calibration). The sensitivity along both axes, :math:`(1 + a_2 u^2) / (1 +
-        a_2 / 12)`, has the mean 1 over a pixel; :math:`a_2 = -0.5` (-0.8 to -0.5) is fitted, as
-        is the normal interpixel scatter of 0.009 (0 to 0.0095). These 95 % ranges hold for the
+        a_2 / 12)`, has the mean 1 over a pixel; :math:`a_2 = -0.5` (-0.8 to -0.45) is fitted, as
+        is the normal interpixel scatter of 0.01 (0 to 0.011). These 95 % ranges hold for the
         PSF's wings of 20 %, which are chosen, with widths from Kepler's PRF: 45 % of the light in
         the brightest pixel and 95 % within a diameter of 4.2 px (Kepler telescope page, medians).
 
@@ -312,7 +312,7 @@ class Detector(Value):
         --------
         >>> from scope_models import Detector
         >>> Detector.k2_calibrated().interpixel_scatter
-        0.009
+        0.01
         """
         return cls.preset("k2_calibrated", cadence, **changes)
 

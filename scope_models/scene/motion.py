@@ -762,6 +762,7 @@ def _checked_scale(pixel_scale):
 
 
 def _cadence_of(*motions):
+    """Return the median time between cadences of the first motion that has several, days."""
     return next((np.median(np.diff(motion.time)) for motion in motions if len(motion) > 1), _LONG)
 
 

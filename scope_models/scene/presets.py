@@ -103,7 +103,7 @@ register_preset("kepler", **_KEPLER)
 register_preset("k2", **_K2)
 _CALIBRATED = _K2 | {
     "sensitivity": SensitivityPolynomial(_FITTED, _FITTED),
-    "interpixel_scatter": 0.009, "interpixel_distribution": "normal",
+    "interpixel_scatter": 0.01, "interpixel_distribution": "normal",
     "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
     + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
 }  # fmt: skip

@@ -164,8 +164,6 @@ class Scene(Value):
     effects : Effect or sequence of Effect or "mission", optional
         Effects besides noise, saturation and the detector's own, in any order: see
         `scope_models.effects`. "mission" are `~scope_models.effects.mission_effects`.
-    listed : bool, optional
-        Effects of one class act in the order given, as in files of format 3 and earlier.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -204,7 +202,6 @@ class Scene(Value):
     noise: frozenset = True
     n_sub: int = integer(1, 1)
     effects: tuple[Effect, ...] = ()
-    listed: bool = False
     target_id: int | None = integer(None, 1)
     object_name: str | None = None
     ra: float | None = number(None, "deg", any_sign=True)
@@ -272,7 +269,6 @@ class Scene(Value):
         """Fields beside stars, detector and motion that are not their defaults, and the seed."""
         options = {"seed": self.seed, "noise": sorted(self.noise), "n_sub": self.n_sub}
         options |= {"effects": self.effects} if self.effects else {}
-        options |= {"listed": True} if self.listed else {}
         options |= _identity(self)
         return options | ({"metadata": dict(self.metadata)} if self.metadata else {})
 

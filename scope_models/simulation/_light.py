@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, fields
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 from tqdm import tqdm
@@ -88,7 +88,7 @@ def prepare(scene):
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
     given = (*scene.detector.effects, *scene.effects)
-    for effect in sorted(given, key=partial(_order, scene)):
+    for effect in sorted(given, key=_order):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
@@ -98,8 +98,9 @@ def prepare(scene):
     return Prepared(scene, conditions, effects, lights, interpixel, positions)
 
 
-def _order(scene, effect):
-    values = () if scene.listed else [getattr(effect, item.name) for item in fields(effect)]
+def _order(effect):
+    """Return what effects are sorted by, whatever the order in which they are given."""
+    values = [getattr(effect, item.name) for item in fields(effect)]
     return effect.place, effect.name, repr(plain_tree(values, value_key))
 
 
@@ -148,6 +149,7 @@ def _product(factors):
 
 
 def _checked(noun, factor, low=0.0):
+    """Return the factor of all effects, which must be finite and have no smaller value."""
     if factor is not None and not np.all(np.isfinite(factor) & (factor >= low)):
         raise ValueError(
             f"the relative {noun} must be finite and at least {low:g}, "

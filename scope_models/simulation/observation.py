@@ -358,6 +358,7 @@ class Observation(Value):
         return f"Time ({self.motion.time_format.upper()})"
 
     def _cdpp(self, flux):
+        """Return lightkurve's CDPP, None without enough cadences."""
         noise = noise_of(SimpleNamespace(time=self.time, flux=flux))
         return None if np.isnan(noise) else noise
 

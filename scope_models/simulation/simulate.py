@@ -227,6 +227,7 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
 
 
 def _flag(prepared, cubes):
+    """Return the quality flags, and take away the pixels of cadences without data."""
     quality = prepared.scene.motion.quality.copy()
     for flags in _light.results_of(prepared.effects, "quality", prepared.conditions):
         quality |= np.asarray(flags, dtype=quality.dtype)

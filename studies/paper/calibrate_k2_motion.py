@@ -6,15 +6,13 @@ Stars all over the field of view of K2 campaign 3, and anywhere on a pixel, move
 `Motion.k2_roll`. The noise of the motion depends on a_2 (response 1 + a_2 u^2 along each axis), the
 standard deviation of b, the wings of the PSF, and the aperture. Stars at Kp 10 and 10.5, all
 saturated, have large apertures, which lose nothing: they measure the response. The apertures of
-unsaturated stars at Kp 12 to 14.5 are the pixels in which the star has more than T (F / F_14)^g
-e-/s, F being its flux and F_14 that at Kp 14. Five percentiles of both groups are fitted together.
-Fainter stars have noise that the model lacks: their medians only choose T and g of the studies.
+unsaturated stars at Kp 12 to 14.5 are the pixels in which the star has more than T e-/s and the
+part p of its flux together. Five percentiles of both groups are fitted together.
 
 The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
 by its number of stars, and 10 % for what the model lacks. The contours are the fit's errors.
 Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
-and g. Prints the point within 95 % whose medians agree best, and the T and g with which those of
-all unsaturated stars agree best there. Takes about 20 minutes on one core.
+and p. Takes about 20 minutes on one core.
 """
 
 import argparse
@@ -35,26 +33,23 @@ from scope_models import Detector
 BINS = (
     (10.0, "saturated"), (10.5, "saturated"), (12.0, "unsaturated"), (12.5, "unsaturated"),
     (13.0, "unsaturated"), (13.5, "unsaturated"), (14.0, "unsaturated"), (14.5, "unsaturated"),
-    (15.0, "unsaturated"), (16.0, "unsaturated"), (17.0, "unsaturated"),
 )  # fmt: skip
-BRIGHT, UNSATURATED = slice(8), slice(2, None)
 WINGS = (0.1, 0.2, 0.15)
 A_2 = np.array([-2.0, -1.6, -1.2, -0.8, -0.4, 0.0])
 SCATTER = np.array([0, 0.004, 0.008, 0.012, 0.016, 0.02])
 FINE_A_2, FINE_SCATTER = np.linspace(-2, 0, 41), np.linspace(0, 0.02, 41)
 # Parts of a star's flux that a pixel of the aperture must have.
-PARTS = np.geomspace(1e-4, 0.12, 14)
-# T in e-/s and g of the apertures.
-LAWS = tuple(product((50.0, 63.0, 80.0, 100.0, 125.0, 160.0), (0.0, 0.25, 0.5, 0.75, 1.0)))
+PARTS = np.geomspace(1e-4, 4e-2, 12)
+# T in e-/s and p of the apertures.
+LAWS = tuple(product((25.0, 32.0, 40.0, 50.0, 63.0, 80.0), (0.0, 5e-4, 7e-4, 1e-3, 1.4e-3, 2e-3)))
 WEIGHTS = np.array([0.5, 1.0, 2.0, 1.0, 0.5])
 # Errors of percentiles of a normal distribution, in standard deviations times the root of n.
 SPREAD = np.array([1.71, 1.36, 1.25, 1.36, 1.71])
 # Columns of the table, and their decimals.
-COLUMNS = {"wings": 2, "a_2": 2, "scatter": 4, "threshold": 0, "exponent": 2, "cost": 1,
+COLUMNS = {"wings": 2, "a_2": 2, "scatter": 4, "threshold": 0, "part": 4, "cost": 1,
            "worst_median": 3}  # fmt: skip
 LOG_SCATTER = 0.85  # of the noise of real stars of one magnitude
 MODEL_ERROR = 0.1
-LIKELY = 6.2  # chi-squared of 95 % for two parameters
 CHUNK = 30  # stars in memory
 
 
@@ -93,8 +88,8 @@ def at_part(values, law, mag):
     """Return values (parts, ...) in the aperture of a law for a magnitude; the first for None."""
     if law is None:
         return values[0]
-    flux, (threshold, exponent) = Detector.k2().flux_from_mag, law
-    part = threshold * (flux(mag) / flux(14.0)) ** exponent / flux(mag)
+    threshold, part = law
+    part = part + threshold / Detector.k2().flux_from_mag(mag)
     place = np.interp(np.log(part), np.log(PARTS), np.arange(len(PARTS)))
     low = min(int(place), len(PARTS) - 2)
     return (low + 1 - place) * values[low] + (place - low) * values[low + 1]
@@ -143,21 +138,13 @@ def main():
                   "cadences": options.cadences, "seed": options.seed}  # fmt: skip
     for wings in options.wings:
         noise = noise_by_part(wings, options)
-        ours = percentiles(*noise)
-        cost, worst = costs(ours[..., BRIGHT, :], known[BRIGHT], error[BRIGHT])
+        cost, worst = costs(percentiles(*noise), known, error)
         for i, j in np.ndindex(cost.shape[1:]):
             row = int(np.argmin(cost[:, i, j]))
             found = *LAWS[row], cost[row, i, j], worst[row, i, j]
             values = wings, FINE_A_2[i], FINE_SCATTER[j], *found
             table.add_row([round(v, n) for v, n in zip(values, COLUMNS.values(), strict=True)])
-        part = table[table["wings"] == wings]
-        likely = part["cost"] < min(part["cost"]) + LIKELY
-        row = np.argmin(np.where(likely, part["worst_median"], np.inf))
-        i, j = divmod(row, len(FINE_SCATTER))
-        ratios = (ours[:, i, j] - known)[:, UNSATURATED, 2]
-        law = np.argmin(np.abs(ratios).max(axis=1))
-        table.meta[f"wings {wings}"] = [FINE_A_2[i].round(2), FINE_SCATTER[j].round(4), *LAWS[law]]
-        print(part[np.argmin(part["cost"])], part[row], LAWS[law], np.exp(ratios[law]).round(2))
+        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))])
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 
 

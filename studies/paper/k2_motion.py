@@ -4,9 +4,9 @@ r"""Benchmark 2 of the paper: noise before de-trending of stars that move as in 
 
 The paper's sensitivity and the calibrated one, `Detector.k2_calibrated`, beside the noise of K2
 campaign 3. EVEREST's apertures follow the PRF; here the aperture holds the pixels in which the star
-alone has more than a threshold on average, :math:`T (F / F_{14})^g` for a flux F and :math:`F_{14}`
-at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as EVEREST's. See
-Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST 2).
+alone has more than a threshold on average, :math:`T + p F` for a flux F. Stars with a pixel above
+90 % of its well have a larger aperture, as EVEREST's. See Saunders, N. et al. 2019, section 3;
+Luger, R. et al. 2018, AJ, 156, 99 (EVEREST 2).
 """
 
 import numpy as np
@@ -37,8 +37,8 @@ class K2MotionNoise:
     stars: int = 60  # per magnitude and detector, all over the field; the same are in all bins
     cadences: int = 1000  # at a random time of the campaign, which has 3380
     shift: float = 0.5  # px from the middle of a pixel; the paper has 0.2
-    threshold: float = 80.0  # T in e-/s, of `calibrate_k2_motion`
-    exponent: float = 0.25  # g, also
+    threshold: float = 32.0  # T in e-/s, fitted
+    part: float = 0.001  # p, fitted
     saturated_part: float = 1e-4  # part of a saturated star's flux that a pixel of its aperture has
 
 
@@ -103,8 +103,7 @@ def choose_aperture(study, observation, image, *, saturated=False):
     flux = observation.truth.flux[0]
     threshold = study.saturated_part * flux
     if not saturated:
-        relative = flux / observation.detector.flux_from_mag(14.0)
-        threshold = study.threshold * relative**study.exponent
+        threshold = study.threshold + study.part * flux
     return image > min(threshold, 0.5 * image.max())
 
 

@@ -124,19 +124,6 @@ def test_equal_effects_have_random_numbers_of_their_own():
     assert not np.array_equal(tables["COSMICRAYS"]["X"][:5], tables["COSMICRAYS_2"]["X"][:5])
 
 
-def test_effects_of_earlier_files_act_in_the_order_given(tmp_path, monkeypatch):
-    given = [RollingBands(rate) for rate in (3.0, 1.0)]
-    monkeypatch.setattr("scope_models.scene._files._VERSION", 3)
-    paths = [scene(*effects).write(tmp_path / f"{number}.fits")
-             for number, effects in enumerate((given, given[::-1], given[:1]))]  # fmt: skip
-    monkeypatch.undo()
-    one, other, single = map(read_scene, paths)
-    assert one == scene(*given, listed=True)
-    assert not np.array_equal(simulate(one).flux, simulate(other).flux)
-    assert single == scene(given[0])
-    assert read_scene(one.write(tmp_path / "again.fits")) == one
-
-
 def test_focus_widens_the_image_and_keeps_the_flux():
     w = np.array([0.95, 1.0, 1.05, 1.3])
     psf = BivariateGaussianPSF(0.7, sigma_x=0.9, sigma_y=0.8, rho=0.3)

@@ -651,7 +651,7 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
     ],
 )
 def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
-    """The linear algebra of the pixels' shares fails in a warning, large errors or an error."""
+    """The linear algebra of the pixels' shares fails in a warning or an error of the file."""
     motion = Motion.k2_roll(60, seed=1)
     tpf = simulate(Star(12, 3, 3), Detector.k2(shape=(7, 7)), motion, seed=1).to_tpf()
     data = tpf.hdu[1].data
@@ -665,6 +665,5 @@ def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         fit = fit_tpf(path, response="pixels")
-    warned = any(issubclass(warning.category, FitWarning) for warning in caught)
-    assert warned or np.median(fit.flux_err / fit.flux) > 0.1
+    assert any(issubclass(warning.category, FitWarning) for warning in caught)
     assert np.isfinite(fit.flux).all()

@@ -189,10 +189,10 @@ def test_files_without_a_scene(shared_data, tmp_path):
 
 
 def test_scene_of_a_later_version(tmp_path, monkeypatch):
-    monkeypatch.setattr("scope_models.scene._files._VERSION", 5)
+    monkeypatch.setattr("scope_models.scene._files._VERSION", 4)
     observation = simulate(Star(12.0), Detector.k2(), Motion.still(3), seed=1)
     path = observation.write(tmp_path / "star.fits")
-    monkeypatch.undo()
+    monkeypatch.setattr("scope_models.scene._files._VERSION", 3)
     with pytest.raises(ValueError, match="a scene of a later version"):
         read_scene(path)
 

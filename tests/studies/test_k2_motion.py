@@ -143,7 +143,7 @@ def test_calibrated_detector():
     assert corner / center == pytest.approx((1 - 0.5 / 4) ** 2)
     assert paper.sensitivity(0.5, 0.5) / paper.sensitivity(0, 0) == pytest.approx(0.9752, abs=1e-4)
     assert detector.interpixel_distribution == "normal"
-    assert detector.interpixel_map(3).std() == pytest.approx(0.009, rel=0.2)
+    assert detector.interpixel_map(3).std() == pytest.approx(0.01, rel=0.2)
     for name in ("zero_point", "background", "read_noise", "well_depth", "n_frames"):
         assert getattr(detector, name) == getattr(paper, name)
     assert Detector.k2_calibrated(cadence="short", shape=(9, 9)).shape == (9, 9)
@@ -157,8 +157,7 @@ def test_adopted_values_agree_best_with_the_medians_within_95_percent(repository
     one, _, square = Detector.k2_calibrated().sensitivity.x_coefficients
     found = square / one, Detector.k2_calibrated().interpixel_scatter
     assert (row["a_2"], row["scatter"]) == pytest.approx(found)
-    law = study.threshold, study.exponent
-    assert table.meta["wings 0.2"] == pytest.approx([row["a_2"], row["scatter"], *law])
+    assert (row["threshold"], row["part"]) == (study.threshold, study.part)
 
 
 @pytest.mark.slow
@@ -181,7 +180,7 @@ def test_epic_205998445(shared_data):
             tpf = observation.to_tpf(aperture_mask=aperture)
             corrected = PLDCorrector(tpf, aperture_mask=aperture).correct(order=2)
             detrended.append(cdpp(corrected, method="everest"))
-    low, high = np.percentile(raw, [5, 95])  # places and maps of b that were drawn
+    low, high = np.percentile(raw, [16, 84])  # of the places and maps of b that were drawn
     assert low < 108.8 < high
     assert np.median(detrended) == pytest.approx(20.1, rel=0.15)
 
@@ -189,7 +188,7 @@ def test_epic_205998445(shared_data):
 @pytest.mark.slow
 def test_noise_is_that_of_campaign_3():
     """Medians; as many stars as in the catalog are saturated and have an aperture for all light."""
-    study, options = K2MotionNoise(), SimpleNamespace(stars=480, cadences=2000, seed=2)
+    study, options = K2MotionNoise(), SimpleNamespace(stars=240, cadences=3300, seed=2)
     saturated = dict.fromkeys(np.arange(11, 15, 0.5), 0.0) | {11.0: 0.77, 11.5: 0.20}
     table = read_reference("k2_c03_raw", "all")
     order, ratios = np.random.default_rng(1).permutation(options.stars), []
@@ -202,11 +201,10 @@ def test_noise_is_that_of_campaign_3():
         stars = RollingStars(detector, field_stars(detector, range(options.stars), options), PARTS)
         motion = stars.systematics(*response)
         for mag, part in large.items():
-            white, law = stars.white(detector, mag), (study.threshold, study.exponent)
+            white, law = stars.white(detector, mag), (study.threshold, study.part)
             small = np.hypot(*(np.exp(at_part(np.log(v), law, mag)) for v in (motion, white)))
             noise = np.where(order < part * order.size, np.hypot(motion[0], white[0]), small)
             ratios.append(np.median(noise) / table["median"][table["mag"] == mag][0])
     paper, ours = np.reshape(ratios, (2, 8))
-    # One power law of apertures leaves so much; the error of a median of 480 stars is 5 %.
-    assert np.abs(ours - 1).max() < 0.3
+    assert np.abs(ours - 1).max() < 0.15
     assert paper.max() < 0.5
