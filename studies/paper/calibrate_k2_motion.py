@@ -12,7 +12,7 @@ part p of its flux together. Five percentiles of both groups are fitted together
 The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
 by its number of stars, and 10 % for what the model lacks. The contours are the fit's errors.
 Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
-and p. Takes about 20 minutes on one core.
+and p. Takes about 10 minutes on one core.
 """
 
 import argparse
