@@ -188,7 +188,7 @@ def test_epic_205998445(shared_data):
 @pytest.mark.slow
 def test_noise_is_that_of_campaign_3():
     """Medians; as many stars as in the catalog are saturated and have an aperture for all light."""
-    study, options = K2MotionNoise(), SimpleNamespace(stars=240, cadences=3300, seed=2)
+    study, options = K2MotionNoise(), SimpleNamespace(stars=480, cadences=3300, seed=2)
     saturated = dict.fromkeys(np.arange(11, 15, 0.5), 0.0) | {11.0: 0.77, 11.5: 0.20}
     table = read_reference("k2_c03_raw", "all")
     order, ratios = np.random.default_rng(1).permutation(options.stars), []
