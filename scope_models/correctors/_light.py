@@ -20,6 +20,7 @@ from scope_models.correctors._pixels import (
 )
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
+from scope_models.pixelmodel._smooth import ROUNDS
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 from scope_models.pixelmodel._star import IMAGE_ERROR
 
@@ -29,7 +30,7 @@ __all__ = [
 ]  # fmt: skip
 
 #: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
-_APART, _MOST_BOXES = 8, 8
+_BOXES = 8
 #: Prior: relative error of profiles, of PRFs and of images. Official PRFs of TESS (camera 2, CCD 3)
 #: differ from sums of Gaussians by 0.1 of the peak in the core, 0.03 at 2.5 px and 0.001 at 5 px.
 SHARE_ERROR = 0.03
@@ -41,11 +42,11 @@ _OVER_STAR = 0.7
 _MOST_PLACES = 12
 #: Prior: standard deviation of a place about the first guess, px.
 PLACE = 0.3
-#: Tolerance: times that the light is shared out.
-_ROUNDS = 20
 #: Tolerance: widths of the Gaussians whose sum is the profile, in units of the star's, and standard
 #: deviation of the window in which that is measured (px).
 _WIDTHS, _WINDOW = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0), 1.5
+#: Tolerance: bounds of one over the star's width, 1/px.
+_SHARPNESS = (1 / 2.0, 1 / 0.3)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Source:
 def box_signal(used, width, depth):
     """Return boxes of ``width`` used cadences; multiples of the golden ratio spread them evenly."""
     rows = np.flatnonzero(used)
-    number = int(np.clip(len(rows) // (_APART * width), 1, _MOST_BOXES))
+    number = int(np.clip(len(rows) // (_BOXES * width), 1, _BOXES))
     signal, golden = np.ones(len(used)), (np.sqrt(5) - 1) / 2
     room = len(rows) / number - width
     for k in range(number):
@@ -314,7 +315,7 @@ def _fit(image, places, *, move=True):
         return np.linalg.solve(gram, matrix @ (values / error).ravel())
 
     flux = np.zeros(len(places))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         x, y = places[0]
         profile = _profile((columns - x)[near], (rows - y)[near], own[near] / total)
 
@@ -352,7 +353,7 @@ def _profile(u, v, values):
     # strips of one row or column have no extent across
     inverse = np.linalg.inv(moments + 1e-6 * np.eye(2)) - np.eye(2) / _WINDOW**2
     eigen, vectors = np.linalg.eigh(inverse)
-    inverse = (vectors * np.clip(eigen, 1 / 2.0**2, 1 / 0.3**2)) @ vectors.T
+    inverse = (vectors * np.clip(eigen, *np.square(_SHARPNESS))) @ vectors.T
     area = 2 * np.pi / np.sqrt(np.linalg.det(inverse))
 
     def gaussians(u, v):

@@ -18,14 +18,14 @@ from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
-from scope_models.pixelmodel._smooth import Smoother, pivoted_cholesky, quantile
+from scope_models.pixelmodel._smooth import MOST, Smoother, pivoted_cholesky, quantile
 from scope_models.pixelmodel._stamp import (
     find_row_centers,
     full_columns,
     rows_of_star,
     without_saturation,
 )
-from scope_models.pixelmodel._star import IMAGE_ERROR, StarModel, fit_star
+from scope_models.pixelmodel._star import IMAGE_ERROR, LEAST_LIGHT, StarModel, fit_star
 
 __all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict"]
 
@@ -495,7 +495,7 @@ def clean_columns(clean, share, usable, use):
     misfit = np.column_stack([clean.misfit, clean.level, clean.weighted])
     groups = {
         "focus": np.concatenate([focus, focus * clean.position / size], axis=1),
-        "aperture": -np.log(np.maximum(1 + clean.outside, 0.1))[:, None],
+        "aperture": -np.log(np.maximum(1 + clean.outside, LEAST_LIGHT))[:, None],
         "misfit": misfit * IMAGE_ERROR / np.hypot(IMAGE_ERROR, change),
     }
     return {name: at_rows(columns, usable) for name, columns in groups.items()}
@@ -513,7 +513,7 @@ def level_column(pixels, use):
     if outside.any():
         relative = pixels.total[usable] / np.median(pixels.total[usable][fit])
         light = flux[:, outside]
-        most = quantile(light[fit].T, 0.98)
+        most = quantile(light[fit].T, MOST)
         dark = light[:, most <= np.median(most)]
         level = np.median(dark - np.median(dark[fit], axis=0) * relative[:, None], axis=1)
         level, _ = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))

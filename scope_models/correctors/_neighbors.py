@@ -46,6 +46,8 @@ _BROAD = 2.0
 _SIGMA, _CENTERS = 0.5**0.5, np.arange(-4, 4.5, 0.5)
 #: Prior: standard deviations of a neighbor's flux about the first guess, and of widths, relative.
 _FLUX, WIDTH = 0.3, 0.01
+#: Tolerance: least flux of a neighbor at the start, in units of the star's.
+_FAINTEST = 1e-4
 #: Tolerance: number of steps; a sixth one changes shares of the light by 1e-4.
 _STEPS = 5
 
@@ -147,7 +149,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
         series = series.replace(flux=flux, flux_err=pixels.flux_err, pos_corr=pos_corr)
         fit, places, fluxes = _first_fit(series[few], stars, given=given)
         data = _with_priors(fit, series, few, box)
-        fluxes = np.maximum(fluxes[1:], 1e-4 * fluxes[0])
+        fluxes = np.maximum(fluxes[1:], _FAINTEST * fluxes[0])
         first = Crowd.first(fit.model, data.flux.shape[1:], fluxes, places[1:] - places[0])
         crowd = learn(first, data[few])
         states, others = track(crowd, data[usable])

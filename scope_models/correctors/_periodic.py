@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from scipy.signal import find_peaks
 from scipy.stats import t as student_t
 
-from scope_models.correctors._regression import SLOWEST, Hyperparameters, Posterior
+from scope_models.correctors._regression import SLOWEST, TOLERANCE, Hyperparameters, Posterior
+from scope_models.pixelmodel._smooth import ROUNDS
 from scope_models.pixelmodel._star import SMALL_STEP
 
 __all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
@@ -39,15 +40,14 @@ _ALONE = 10.0
 #: et al. 2022, arXiv:2110.13284); harmonics: an equatorial spot has a twelfth of the first beyond.
 _TURNS, _HARMONICS = (2.0, 10.0), 3
 #: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
-#: which it may repeat itself; and twice the logarithm of the likelihood at the end of a search.
-_REACH, _PRECISION = 3.0, 0.1
+#: which it may repeat itself.
+_REACH = 3.0
+#: Tolerance: variance of slow changes that the search expects at least, in units of the noise's.
+_SLOW = 0.1
 #: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
 #: Tolerance: number of runs of a light curve that deviate as much by chance.
 _CHANCE = 0.1
-#: Tolerance: largest number of searches for waves and for short changes, and of steps of
-#: frequencies.
-_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class _Waves:
     def settled(self, fit):
         """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
         waves, size = self, _SHIFT
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             moved, steps = waves._shifted(fit(waves), size)
             if fit(moved).log_likelihood > fit(waves).log_likelihood:
                 waves = moved
@@ -209,7 +209,7 @@ def find_rotation(solution, rest):
     start, method = np.mean(bounds, axis=1), "Nelder-Mead"
     kinds = [(k, count) for k in (1, 2) for count in range(k, _HARMONICS + 1)]
     kind = min(kinds, key=lambda each: misfit(start, *each))
-    best = minimize(misfit, start, kind, method=method, bounds=bounds, tol=_PRECISION)
+    best = minimize(misfit, start, kind, method=method, bounds=bounds, tol=2 * TOLERANCE)
     return rotation(best.x, *kind)
 
 
@@ -222,7 +222,7 @@ def find_waves(solution, allowed):
     """
     n_most = allowed.sum() // _CADENCES_PER_FREQUENCY
     waves, rest = _Waves(), solution.y
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         # without cadences far from the ones around them: cosmic rays and other accidents
         difference = rest[allowed] - ndimage.median_filter(rest[allowed], 5, mode="nearest")
         use = allowed.copy()
@@ -299,7 +299,7 @@ def _with_simple_noise(solution, rest):
     jitter = mad_std(np.diff(rest, 2)) / np.sqrt(6)
     variance = np.median(data.variance)
     width = max(round(1 / float(np.median(np.diff(data.time)))), 1)
-    slow = max(float(np.var(ndimage.uniform_filter1d(rest, width))), 0.1 * variance)
+    slow = max(float(np.var(ndimage.uniform_filter1d(rest, width))), _SLOW * variance)
     unit = np.minimum(float(np.var(data.y)) / data.sizes, data.most)
     walk = slow / float(np.ptp(data.time))
     hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, 0.0, 1.0, walk)
@@ -365,7 +365,7 @@ def _runs(data, mean, hyper):
     inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
     free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
     limits = [student_t.isf(_CHANCE / 2 / sum(map(len, inverse)), n / k) for k in _RUNS]
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         index = np.arange(n)[:, None]
         boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
         trial = replace(data, columns=np.concatenate([data.columns, boxes], axis=1))

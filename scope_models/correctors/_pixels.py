@@ -16,6 +16,7 @@ from scope_models.pixelmodel._smooth import (
     COORDINATES,
     DARK_PART,
     FEWEST_DARK,
+    TRANSIT,
     dark_plane,
     nearness,
     precise_aperture,
@@ -161,7 +162,7 @@ def choose_aperture(series, place):
     if pos_corr is not None:
         around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
         near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
-        best = _most_precise(flux, series.flux_err, own, around & near, pos_corr)
+        best = _most_precise(series.replace(flux=flux), own, around & near)
     saturation = series.mission and series.mission.full_flux
     full = full_columns(np.where(best, given, 0.0), finite, saturation)
     return best | full & ~others & np.isfinite(given[finite]).all(axis=0)
@@ -219,16 +220,18 @@ def without_background(flux):
     return flux - background_plane(typical) - np.moveaxis(terms @ more.T, 2, 0)
 
 
-def _most_precise(flux, flux_err, own, candidates, pos_corr):
+def _most_precise(series, own, candidates):
     """Return the best part of the candidates, or the lit pixels if most positions are missing."""
+    flux, pos_corr = series.flux, series.pos_corr
     lit = np.isfinite(flux[:, own]).all(axis=1)
-    use = usable_positions(pos_corr) & lit
+    use = usable_positions(pos_corr) & lit & np.isfinite(series.time)
     candidates = candidates & np.isfinite(flux[use]).all(axis=0)
-    variance = flux_err[use][:, candidates] ** 2
-    if use.sum() <= lit.sum() / 2 or not (variance > 0).all():
+    variance = series.flux_err[use][:, candidates] ** 2
+    if use.sum() <= max(lit.sum() / 2, 1) or not (variance > 0).all():
         return own
     best = np.zeros_like(own)
-    best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use])
+    count = max(round(TRANSIT / quantile(np.diff(series.time[use]))), 1)
+    best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use], count)
     return best
 
 
@@ -345,8 +348,8 @@ def warn_of_pipeline(series, pixels, flux, share):
         return
     its = np.nansum(series.flux[good][:, other], axis=1)
     sizes = [share * _jumps(flux[good]), _jumps(its)]
-    # 0.76: standard deviation of the absolute value of a normal variable over its mean
-    if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + CLIP * 0.76 * np.sqrt(2 / len(its)):
+    # sqrt(pi / 2 - 1) is the scatter of absolute values of normal ones over their mean
+    if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + CLIP * np.sqrt((np.pi - 2) / len(its)):
         part = sizes[0] / sizes[1]
         _warn(f"the light curve has {part:.1f} times the noise of the pipeline's: {_REMEDY}")
 
@@ -437,7 +440,7 @@ def noise_ratios(raw, corrected):
         return np.full(2, np.inf)
     quarter = both.sum() // 4 * 24 * np.median(np.diff(curves[0].time.value))
     noise = [
-        [cdpp(lc, min(6.5, quarter), method) for method in ("lightkurve", "everest")]
+        [cdpp(lc, min(24 * TRANSIT, quarter), method) for method in ("lightkurve", "everest")]
         for lc in curves
     ]
     return np.divide(noise[1], noise[0])

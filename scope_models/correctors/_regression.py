@@ -10,8 +10,8 @@ from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
 __all__ = [
-    "FLAT", "FORGOTTEN", "SLOWEST", "Covariance", "Data", "Hyperparameters", "Posterior",
-    "fit_hyperparameters", "log_likelihood",
+    "FLAT", "FORGOTTEN", "SLOWEST", "TOLERANCE", "Covariance", "Data", "Hyperparameters",
+    "Posterior", "fit_hyperparameters", "log_likelihood",
 ]  # fmt: skip
 
 #: Prior: variance of the columns with flat priors, in units of the data's, and the largest one of a
@@ -26,10 +26,14 @@ _EXCESS = 0.1
 _ENOUGH = 1500
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
+#: Tolerance: bounds of the logarithms of factors, farther ones lead a search astray, and the one
+#: of no variance; least ratio of signal and noise (squared) of columns that the search for the
+#: process sees.
+_FAR, _NOTHING, _SMALLEST = 12.0, -30.0, 1e-2
 #: Tolerance: steps of a search at most.
 _STEPS = 60
 #: Tolerance: largest number of rounds; they end when one improves the logarithm by less.
-_ROUNDS, _TOLERANCE = 5, 0.05
+_ROUNDS, TOLERANCE = 5, 0.05
 #: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
 #: period a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
@@ -262,7 +266,7 @@ def _fit_scales(trial):
 
     unit = np.log(data.spread / data.sizes)
     least = -np.log(FLAT * hyper.noise_scale)
-    bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(FLAT), strict=True)]
+    bounds = [(least, _FAR), *zip(unit + _NOTHING, unit + np.log(FLAT), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
     return trial.changed(np.array(variances), factor)
 
@@ -286,12 +290,12 @@ def _minimize(objective, start, bounds, n):
     return [float(value) for value in np.exp(result.x * unit)]
 
 
-def _compressed(gram, data, hyper, smallest=1e-2):
+def _compressed(gram, data, hyper):
     """Return the problem with the prior's variance absorbed into few columns of one group."""
     root = np.sqrt(hyper.prior(data))[: len(data.groups)]
     k = len(root)
     values, vectors = np.linalg.eigh(root[:, None] * gram[:k, :k] * root)
-    vectors = vectors[:, values >= min(smallest, values[-1])]  # one column at least
+    vectors = vectors[:, values >= min(_SMALLEST, values[-1])]  # one column at least
     columns = data.columns[:, :k] @ (root[:, None] * vectors)
     return replace(
         data,
@@ -318,7 +322,7 @@ def _fit_process(trial):
 
     size = tuple(np.log([np.median(data.variance) / FLAT, FLAT * data.spread]))
     period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
-    bounds = [(-np.log(FLAT), 16.0), (-8.0, 8.0), size, period, size]
+    bounds = [(-np.log(FLAT), _FAR), (-_FAR, _FAR), size, period, size]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
     n = len(start) if hyper.walk else len(start) - 1
     scale, variance, *process = _minimize(objective, start[:n], bounds[:n], len(data.y))
@@ -349,10 +353,10 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     for k in range(_ROUNDS):
         value = best.value
         best = max(best, _fit_scales(best), key=_value)
-        if not best.hyper.amplitude or (k > 0 and best.value < value + _TOLERANCE):
+        if not best.hyper.amplitude or (k > 0 and best.value < value + TOLERANCE):
             break  # nor would the process change
         best = max(best, _fit_process(best), key=_value)
-        if best.value < value + _TOLERANCE:
+        if best.value < value + TOLERANCE:
             break
     return best.hyper
 

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from astropy.table import QTable
 from scipy import ndimage
+from scipy.stats import norm
 
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
@@ -382,7 +383,7 @@ class PLDFit:
 
     @cached_property
     def _change(self):
-        low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
+        low, high = np.quantile(self.solution.systematics[self.solution.use], norm.cdf([-1, 1]))
         return (high - low) / 2
 
     @property
@@ -615,7 +616,7 @@ class PLDFit:
         return float(scale), float(error)
 
     @one_thread
-    def held_out(self, width=13, cadences=None):
+    def held_out(self, width=None, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
@@ -625,7 +626,7 @@ class PLDFit:
         Parameters
         ----------
         width : int, optional
-            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+            Cadences in a window, counted among ``cadences``; by default those of 6.5 hours.
         cadences : array_like of bool, optional
             Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
             compared on the same ones, with what each of them left out as an outlier.
@@ -650,7 +651,7 @@ class PLDFit:
             if (chosen & ~usable).any():
                 raise ValueError("`cadences` must have usable pixels")
         used = np.flatnonzero(chosen)
-        width = checked_integer("width", width, 1)
+        width = checked_integer("width", self.window if width is None else width, 1)
         if len(used) < 2 * width:
             raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
         residual, covariance = self.solution.held_out(width, chosen[usable])

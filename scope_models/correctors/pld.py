@@ -372,7 +372,7 @@ class PLDCorrector(Corrector):
             return self._fitted().fit_transit(transit_model)
 
     @documented(held_out=PLDFit.held_out)
-    def held_out(self, width=13, cadences=None):
+    def held_out(self, width=None, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 

@@ -6,8 +6,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
 __all__ = [
-    "BLOCK", "CLIP", "COORDINATES", "DARK_PART", "ENOUGH", "FEWEST_DARK", "NO_WEIGHT", "REWEIGHTS",
-    "TRANSIT", "Features", "Flow", "Smoother", "dark_plane", "nearness",
+    "BLOCK", "CLIP", "COORDINATES", "DARK_PART", "ENOUGH", "FEWEST_DARK", "MOST", "NO_WEIGHT",
+    "REWEIGHTS", "ROUNDS", "TRANSIT", "Features", "Flow", "Smoother", "dark_plane", "nearness",
     "pivoted_cholesky", "polynomials", "precise_aperture", "quantile",
 ]  # fmt: skip
 
@@ -15,6 +15,10 @@ __all__ = [
 _DEGREE = 3
 #: Tolerance: images that a mean is taken of.
 ENOUGH = 500
+#: Tolerance: quantile that stands for the largest value, which may be an accident.
+MOST = 0.98
+#: Tolerance: largest number of rounds of a search that converges.
+ROUNDS = 20
 #: Tolerance: changes of weights of robust fits.
 REWEIGHTS = 10
 #: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
@@ -31,6 +35,8 @@ NO_WEIGHT = 1e-6
 #: Tolerance: widths in cadences of the kernels that are tried to smooth the focus and the
 #: background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+#: Tolerance: kernels end after so many widths; least error of a value in units of the typical one.
+_END, _LEAST_ERROR = 3.5, 0.3
 #: Branch: outliers exceed so many standard deviations, as noise does in one of 300,000 pixels.
 CLIP = 4.5
 #: Prior: duration in days of a transit of a habitable planet, of which CDPP is the noise
@@ -179,14 +185,14 @@ def dark_plane(image, terms):
     return np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
 
 
-def precise_aperture(light, variance, position):
+def precise_aperture(light, variance, position, count):
     """Choose the pixels ``(n_pixels,)`` whose sum is expected to be most precise.
 
-    Pixels are added by their ratio of light to noise as long as the noise of 6.5 h and what the
-    aperture loses as the star moves, relative to all pixels, become less.
+    Pixels are added by their ratio of light to noise as long as the noise of ``count`` cadences,
+    6.5 h, and what the aperture loses as the star moves, relative to all pixels, become less.
     """
     variance = quantile(variance.T)
-    order = np.argsort(-quantile(light.T, 0.98) / variance)
+    order = np.argsort(-quantile(light.T, MOST) / variance)
     inside = np.cumsum(light[:, order], axis=1)
     level = quantile(inside.T)
     noise = np.cumsum(variance[order])
@@ -194,7 +200,7 @@ def precise_aperture(light, variance, position):
     columns = np.linalg.qr(columns)[0][:, 1:]
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
     lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
-    scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
+    scatter = (_LOST * lost + noise / count) / np.where(level > 0, level, np.inf) ** 2
     fewest = min(3, len(order) - 1)  # but one
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: fewest + np.argmin(scatter[fewest:]) + 1]] = True
@@ -214,7 +220,7 @@ class Smoother:
         self.step = quantile(np.diff(time))
         steps = np.diff(np.rint((time - time[0]) / self.step))
         # beyond the widest kernel, a longer gap is the same
-        steps = np.minimum(steps, 8 * _WIDTHS[-1])
+        steps = np.minimum(steps, 2 * int(_END * _WIDTHS[-1]) + 2)
         self._index = np.concatenate([[0], np.cumsum(steps)]).astype(int)
         self._kernels, self._best = {}, {}
 
@@ -229,7 +235,7 @@ class Smoother:
         """
         use = self.use
         typical, own = quantile(error[use]), (values, error)
-        start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, NO_WEIGHT)
+        start = np.where(use, (typical / np.maximum(error, _LEAST_ERROR * typical)) ** 2, NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
         least, weight = np.inf, start
         for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
@@ -259,7 +265,7 @@ class Smoother:
             determinant = s0 * s2 - s1**2
             determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
             smooth = (s2 * m0 - s1 * m1) / determinant
-            rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
+            rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, NO_WEIGHT)
             size = quantile(rest[self.use])
             before, weight = weight, np.where(rest > CLIP * 1.4826 * size, NO_WEIGHT, 1.0) * start
             if (weight == before).all():
@@ -271,7 +277,7 @@ class Smoother:
         """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
         grid = np.zeros((2, self._index[-1] + 1))
         grid[:, self._index] = weight, data
-        half = int(3.5 * width) + 1
+        half = int(_END * width) + 1
         size = next_fast_len(self._index[-1] + 1 + half, real=True)
         if width not in self._kernels:
             d = np.arange(-half, half + 1.0)

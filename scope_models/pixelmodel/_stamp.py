@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from scope_models.pixelmodel._smooth import (
     ENOUGH,
     FEWEST_DARK,
+    MOST,
     NO_WEIGHT,
     REWEIGHTS,
     TRANSIT,
@@ -35,6 +36,8 @@ _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _BANDS = 4
 #: Tolerance: width (px) of the rings of the star's profile.
 _RING = 0.5
+#: Branch: positions are centroids if POS_CORR is known in a smaller part of the cadences.
+_KNOWN = 0.2
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 #: Branch: what is seen in fewer cadences may be an accident.
@@ -298,7 +301,7 @@ def _expected(light, grid, single, position, total, use, size):
     middle = quantile(offset[fit].T) if fit.any() else np.zeros(2)
     known &= np.abs(offset - middle).max(axis=1) < size
     fit &= known
-    if fit.sum() < 0.2 * use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
+    if fit.sum() < _KNOWN * use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
         return center, centroid, np.ones(len(known), dtype=bool)
     columns = np.column_stack([centroid, np.ones(len(centroid))])
     expected = offset - quantile(offset[fit].T)
@@ -317,8 +320,8 @@ def _most_light(light, least, away):
     few = slice(None, None, max(len(light) // ENOUGH, 1))
     rings = np.floor(distance[:, few] / _RING)
     numbers, values = np.unique(rings), light[few].T
-    profile = [max(quantile(values[rings == k], 0.98), least.min()) for k in numbers]
+    profile = [max(quantile(values[rings == k], MOST), least.min()) for k in numbers]
     places = _RING * (numbers + 0.5)
     profile = np.log(np.maximum.accumulate(profile[::-1])[::-1])
     expected = np.exp(np.interp(distance.min(axis=1), places, profile))
-    return np.maximum(np.maximum(quantile(light.T, 0.98), expected), least)
+    return np.maximum(np.maximum(quantile(light.T, MOST), expected), least)

@@ -25,11 +25,15 @@ from scipy.linalg import solveh_banded
 from scope_models.pixelmodel._smooth import CLIP, TRANSIT, quantile
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
-__all__ = ["IMAGE_ERROR", "MISFIT", "RESPONSE_PRIOR", "SMALL_STEP", "StarModel", "fit_star"]
+__all__ = [
+    "IMAGE_ERROR", "LEAST_LIGHT", "MISFIT", "RESPONSE_PRIOR", "SMALL_STEP", "StarModel", "fit_star",
+]  # fmt: skip
 
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
 
+#: Prior: standard deviation of a position where POS_CORR is unknown, px.
+_ANYWHERE = 10.0
 #: Prior: standard deviation of the relative width of the PSF, that of seeing at a good site.
 _WIDTH_PRIOR = 0.2
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
@@ -46,6 +50,8 @@ _UNIT = 2.0
 #: Branch: there are no images if a cadence counts in its own, as functions over cadences, for more
 #: than all others: what is different in each, as the seeing, would be in them.
 _MOST_OWN = 0.5
+#: Tolerance: part of the typical light that an aperture holds at least.
+LEAST_LIGHT = 0.1
 #: Branch: standard deviation of changes of the star within 6.5 h above which constant light can be
 #: learned.
 _STRONG = 0.02
@@ -266,7 +272,7 @@ def _fit_states(stamp, states, shape, images, functions):
     tilt, flat = np.maximum(stamp.waves, tilt) ** -2.0, np.maximum(stamp.waves, 1e-9) ** -2.0
     # a cadence may have outliers in all pixels: steps are of the size of the star's light
     weight, distance = np.ones_like(right), np.zeros_like(right)
-    weight[1:3] = np.where(stamp.known, POSITION_PRIOR**-2, 1e-2)
+    weight[1:3] = np.where(stamp.known, POSITION_PRIOR, _ANYWHERE) ** -2.0
     distance[1:3] = (stamp.expected - states.position).T
     weight[3], distance[3] = _WIDTH_PRIOR**-2, -states.focus
     weight[5:7], weight[7:] = tilt, flat
@@ -382,14 +388,15 @@ def _on_scale(stamp, position, variable):
     """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
     known = use = stamp.known & stamp.use
     columns = np.column_stack([position, np.ones(len(position)), variable])
-    weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change where POS_CORR is unknown
+    # toward no change where POS_CORR is unknown
+    weight = POSITION_PRIOR**2 * np.diag([1.0, 1.0, 0.0, 1.0])
     change = np.zeros((4, 2))
     for _ in range(3):
         gram = columns[use].T @ columns[use] + weight
         gram[2, 2] += 1e-9
         change = np.linalg.solve(gram, columns[use].T @ (stamp.expected - position)[use])
         rest = stamp.expected - position - columns @ change
-        use = known & (np.abs(rest).max(axis=1) < 0.1)
+        use = known & (np.abs(rest).max(axis=1) < CLIP * POSITION_PRIOR)
     return position + columns @ change
 
 
@@ -422,9 +429,9 @@ def _kept(stamp, states, images, focus):
     """
     outside = ~stamp.aperture
     lost = focus * stamp.flow.lost(images.still, stamp.center + states.position)
-    whole = np.maximum(1 + images.still @ outside, 0.1)
+    whole = np.maximum(1 + images.still @ outside, LEAST_LIGHT)
     moved = focus * (images.slopes[2] @ outside)
-    return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
+    return np.maximum(whole + moved, LEAST_LIGHT) / np.maximum(whole - lost, LEAST_LIGHT)
 
 
 def _constant_light(stamp, images, error):

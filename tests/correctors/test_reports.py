@@ -203,8 +203,9 @@ def test_held_out_windows_may_hold_outliers(fake_star):
     without = replace(solution, use=use)
     rest = without.unexplained - without.process.predict(without.alpha, without.time)
     assert residual[3] == pytest.approx(rest[window].mean(), rel=1e-4)
-    few = corrector.held_out(13)
+    few = corrector.held_out()
     assert few[2].tolist() == np.flatnonzero(corrector.result.used).tolist()
+    assert len(few[0]) == corrector.result.n_used // corrector.result.window
     assert error[10] == pytest.approx(few[1][10], rel=0.01)
     with pytest.raises(ValueError, match="`cadences` must have shape"):
         corrector.held_out(13, everything[1:])

@@ -232,12 +232,22 @@ def test_large_motion():
 def test_precise_aperture_leaves_out_dark_pixels_and_keeps_what_the_star_crosses():
     x, y, _ = motion()
     faint, error = observed(2e3 * image(x, y))
-    mask = precise_aperture(faint, error**2, np.column_stack([x, y]))
+    mask = precise_aperture(faint, error**2, np.column_stack([x, y]), 13)
     assert 3 <= mask.sum() <= 25
     assert mask.reshape(SIZE, SIZE)[4, 4]
     bright, error = observed(1e6 * image(x, y))
-    more = precise_aperture(bright, error**2, np.column_stack([x, y]))
+    more = precise_aperture(bright, error**2, np.column_stack([x, y]), 13)
     assert more.sum() > mask.sum()
+
+
+def test_precise_aperture_of_short_exposures_is_that_of_their_means():
+    """Fifteen times as many cadences of 6.5 h, each with sqrt(15) times the error, are the same."""
+    x, y, _ = motion()
+    light, error = observed(2e4 * image(x, y))
+    place = np.column_stack([x, y])
+    whole = precise_aperture(light, error**2, place, 13)
+    np.testing.assert_array_equal(precise_aperture(light, 15 * error**2, place, 15 * 13), whole)
+    assert precise_aperture(light, 15 * error**2, place, 13).sum() < whole.sum()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
@@ -246,7 +256,8 @@ def test_precise_aperture_of_few_pixels_holds_all(n):
     x, y, _ = motion()
     light, error = observed(1e5 * image(x, y))
     brightest = np.argsort(-light.mean(axis=0))[:n]
-    mask = precise_aperture(light[:, brightest], error[:, brightest] ** 2, np.column_stack([x, y]))
+    given = light[:, brightest], error[:, brightest] ** 2, np.column_stack([x, y])
+    mask = precise_aperture(*given, 13)
     assert mask.all()
 
 
