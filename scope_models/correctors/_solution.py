@@ -336,64 +336,74 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
         options.n_trend, predicted=predicted, scale=scale[-1],
     )  # fmt: skip
     fitted = partial(_without_outliers, make_regressors=make_regressors, options=options)
+    *_, solution = fits = fitted(first)
     if options.trend == "gp":
-        solution = _with_variability(first, fitted, use, search_short=options.max_clips > 0)
-    else:
-        solution = fitted(first)
+        # the evidence of measured fractions, which hold the noise of pixels, says less
+        turns = (-1, 0) if predicted and len(fits) > 1 else (-1,)
+        turns = turns if options.max_clips else (None,)
+        found = [_with_variability(first, fits, fitted, use, turn) for turn in turns]
+        solution = max(found, key=partial(_evidence, allowed=use))
     return solution.with_returned(use & ~solution.short, options)
 
 
-def _with_variability(first, fitted, use, *, search_short):
-    """Return the likeliest fit of a Gaussian process, with periodic variability or without."""
+def _with_variability(first, fits, fitted, use, turn):
+    """Return the likeliest fit of a Gaussian process, with periodic variability or without.
+
+    Short changes are sought in one of the ``fits``, if any: after outliers were left out, or
+    before, for long transits may be taken for outliers, and outliers for short changes.
+    """
     evidence = partial(_evidence, allowed=use)
 
-    def likeliest(first):
-        """Return a fit, and one with short changes if that is more likely."""
-        plain = fitted(first)
-        columns = short_changes(plain) if search_short else np.empty((0, 0))
+    def likeliest(first, fits):
+        """Return a fit, or one with short changes if that is more likely."""
+        plain, columns = fits[-1], np.empty((0, 0)) if turn is None else short_changes(fits[turn])
         if not columns.shape[1]:
             return plain
-        return max(plain, fitted(first.with_short(columns)), key=evidence)
+        return max(plain, fitted(first.with_short(columns))[-1], key=evidence)
 
-    solution = likeliest(first)
+    solution = likeliest(first, fits)
     waves = find_waves(solution, use)
     if len(waves.frequencies):
-        periodic = likeliest(first.with_waves(waves, use))
+        waving = first.with_waves(waves, use)
+        periodic = likeliest(waving, fitted(waving))
         likely = max(solution, periodic, key=evidence)
         if not likely.is_fast:
             rotation = find_rotation(solution, periodic.unexplained)
-            likely = max(likely, likeliest(first.with_waves(rotation, use)), key=evidence)
+            rotating = first.with_waves(rotation, use)
+            likely = max(likely, likeliest(rotating, fitted(rotating)), key=evidence)
         solution = likely
     if solution.n_short:  # left out, but where systematics would be more uncertain than its size
         solution, size = solution.without_short(use)
-        solution = fitted(solution)
+        *_, solution = fitted(solution)
         needed = use & solution.short & (solution.systematics_variance > size**2)
         if needed.any():
             short = solution.short & ~needed
-            solution = fitted(replace(solution, use=solution.use | needed, short=short))
+            *_, solution = fitted(replace(solution, use=solution.use | needed, short=short))
         use = use & ~solution.short
     scale = solution.hyper.noise_scale
     if np.log(scale) > _NOISE_ERROR:
         hyper = replace(solution.hyper, walk=scale * np.median(solution.variance))
-        walking = fitted(replace(solution, use=use, hyper=hyper))
+        *_, walking = fitted(replace(solution, use=use, hyper=hyper))
         solution = max(solution, walking, key=partial(_evidence, allowed=use))
     return solution
 
 
 def _without_outliers(solution, make_regressors, options):
-    """Fit the hyper-parameters and leave out outliers by turns."""
+    """Fit the hyper-parameters and leave out outliers by turns; return all fits."""
+    found = []
     for k in range(_REFITS + 1):
         data, hyper = solution.data, solution.hyper
         if hyper is not None and len(hyper.variances) != data.n_groups:
             hyper = None
         hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
         solution = replace(solution, hyper=hyper)
+        found.append(solution)
         use = solution.without_outliers(options).use if k < _REFITS else solution.use
         if (use == solution.use).all():
             break
         y = solution.y - solution.y[use].mean()
         solution = replace(solution, use=use, y=y, regressors=make_regressors(use))
-    return solution
+    return found
 
 
 def _evidence(solution, allowed):

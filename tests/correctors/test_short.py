@@ -7,7 +7,7 @@ import pytest
 
 from scope_models._threads import one_thread
 from scope_models.benchmark import REGIMES, make_sky
-from scope_models.correctors import PLDCorrector, _periodic
+from scope_models.correctors import PLDCorrector, _periodic, _regression
 from scope_models.correctors._regression import Data
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -68,3 +68,18 @@ def test_a_change_beside_a_gap_has_its_cadences(monkeypatch):
     monkeypatch.setattr(_periodic, "_runs", lambda *_: np.array([[33, 34]]))
     columns = _periodic.short_changes(solution)
     assert np.flatnonzero(columns[:, 0]).tolist() == [99, 100, 101]
+
+
+@pytest.mark.parametrize("bound", [10.0, 12.0, 16.0])
+@pytest.mark.parametrize(("seed", "depth"), [(6102, 0.05), (6103, 0.01)])
+def test_long_transits_do_not_depend_on_the_way_of_the_search(seed, depth, bound, monkeypatch):
+    """In short files they may be outliers, or short changes, of which one is far likelier."""
+    monkeypatch.setattr(_regression, "_FAR", bound)
+    sky = make_sky(REGIMES["k2-1x-transits-neighbor"].replace(depth=depth), seed, n_cadences=400)
+    lc = PLDCorrector(sky.to_tpf()).correct()
+    flux, rows = lc.flux.value, np.searchsorted(sky.cadenceno, lc["cadenceno"])
+    columns = np.column_stack([np.ones(len(rows)), sky.transit[rows]])
+    (level, slope), *_ = np.linalg.lstsq(columns, flux, rcond=None)
+    rest = flux / (level + slope * sky.transit[rows]) - 1
+    means = rest[: len(rest) // 13 * 13].reshape(-1, 13).mean(axis=1)
+    assert means.std() < 2 * sky.floor() / np.sqrt(13)
