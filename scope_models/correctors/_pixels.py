@@ -348,7 +348,7 @@ def warn_of_pipeline(series, pixels, flux, share):
         return
     its = np.nansum(series.flux[good][:, other], axis=1)
     sizes = [share * _jumps(flux[good]), _jumps(its)]
-    # sqrt(pi / 2 - 1) is the scatter of absolute values of normal ones over their mean
+    # absolute values of normal ones scatter by sqrt(pi / 2 - 1) of their mean
     if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + CLIP * np.sqrt((np.pi - 2) / len(its)):
         part = sizes[0] / sizes[1]
         _warn(f"the light curve has {part:.1f} times the noise of the pipeline's: {_REMEDY}")

@@ -349,13 +349,13 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
 def _with_variability(first, fits, fitted, use, turn):
     """Return the likeliest fit of a Gaussian process, with periodic variability or without.
 
-    Short changes are sought in one of the ``fits``, if any: after outliers were left out, or
-    before, for long transits may be taken for outliers, and outliers for short changes.
+    Short changes are sought in one of the ``fits``, if any: long transits may seem to be outliers
+    before they are known, and outliers short changes.
     """
     evidence = partial(_evidence, allowed=use)
 
     def likeliest(first, fits):
-        """Return a fit, or one with short changes if that is more likely."""
+        """Return a fit, with short changes if that is likelier."""
         plain, columns = fits[-1], np.empty((0, 0)) if turn is None else short_changes(fits[turn])
         if not columns.shape[1]:
             return plain
