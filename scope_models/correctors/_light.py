@@ -45,7 +45,7 @@ PLACE = 0.3
 #: Tolerance: widths of the Gaussians whose sum is the profile, in units of the star's, and standard
 #: deviation of the window in which that is measured (px).
 _WIDTHS, _WINDOW = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0), 1.5
-#: Tolerance: bounds of one over the star's width, 1/px.
+#: Tolerance: bounds of one over the width, 1/px.
 _SHARPNESS = (1 / 2.0, 1 / 0.3)
 
 

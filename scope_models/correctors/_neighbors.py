@@ -46,7 +46,7 @@ _BROAD = 2.0
 _SIGMA, _CENTERS = 0.5**0.5, np.arange(-4, 4.5, 0.5)
 #: Prior: standard deviations of a neighbor's flux about the first guess, and of widths, relative.
 _FLUX, WIDTH = 0.3, 0.01
-#: Tolerance: least flux of a neighbor at the start, in units of the star's.
+#: Tolerance: least flux of a neighbor over the star's at the start.
 _FAINTEST = 1e-4
 #: Tolerance: number of steps; a sixth one changes shares of the light by 1e-4.
 _STEPS = 5

@@ -42,7 +42,7 @@ _TURNS, _HARMONICS = (2.0, 10.0), 3
 #: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
 #: which it may repeat itself.
 _REACH = 3.0
-#: Tolerance: variance of slow changes that the search expects at least, in units of the noise's.
+#: Tolerance: least variance of slow changes in the search, over the noise's.
 _SLOW = 0.1
 #: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)

@@ -321,8 +321,8 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
     """Fit, and leave out outliers until there are none.
 
     If the star has frequencies, the fit is made again with columns for them, and the more likely
-    one is returned. ``make_regressors`` takes the mask of cadences in use, ``use`` are those that
-    may be; ``transit`` has a column ``(n, 1)`` or none.
+    one is returned. ``make_regressors`` takes the mask of cadences in use; ``use`` are those that
+    may be, ``transit`` has one column or none.
     """
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:

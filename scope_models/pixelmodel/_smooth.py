@@ -15,7 +15,7 @@ __all__ = [
 _DEGREE = 3
 #: Tolerance: images that a mean is taken of.
 ENOUGH = 500
-#: Tolerance: quantile that stands for the largest value, which may be an accident.
+#: Tolerance: quantile of the largest values but accidents.
 MOST = 0.98
 #: Tolerance: largest number of rounds of a search that converges.
 ROUNDS = 20
@@ -35,7 +35,7 @@ NO_WEIGHT = 1e-6
 #: Tolerance: widths in cadences of the kernels that are tried to smooth the focus and the
 #: background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
-#: Tolerance: kernels end after so many widths; least error of a value in units of the typical one.
+#: Tolerance: widths after which kernels end; least error in units of the typical one.
 _END, _LEAST_ERROR = 3.5, 0.3
 #: Branch: outliers exceed so many standard deviations, as noise does in one of 300,000 pixels.
 CLIP = 4.5

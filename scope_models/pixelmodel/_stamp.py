@@ -36,7 +36,7 @@ _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _BANDS = 4
 #: Tolerance: width (px) of the rings of the star's profile.
 _RING = 0.5
-#: Branch: positions are centroids if POS_CORR is known in a smaller part of the cadences.
+#: Branch: POS_CORR that is known in less of the cadences is not used.
 _KNOWN = 0.2
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
