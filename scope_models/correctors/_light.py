@@ -325,7 +325,8 @@ def _fit(image, places, *, move=True):
         light, last = stars(), flux
         flux = np.maximum(solved(light, image), 0.0)
         light *= flux[:, None, None]
-        rest, change = image - light.sum(axis=0), np.abs(flux - last).max() / flux.max()
+        rest = image - light.sum(axis=0)
+        change = np.abs(flux - last).max() / max(flux.max(), 1e-12 * total)
         if move and len(places) > 1:
             h = POSITION_PRIOR
             slopes = [stars(h) - stars(-h), stars(0, h) - stars(0, -h)]

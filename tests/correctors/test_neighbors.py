@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 
 from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.benchmark import SkyRegime, make_sky, score
-from scope_models.correctors import PLDCorrector
+from scope_models.correctors import PLDCorrector, _light
 from scope_models.exceptions import DetrendingWarning, LostLightWarning
 from scope_models.io import read_pixels
 from scope_models.io.pixels import target_place
@@ -449,3 +449,13 @@ def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 5e8
+
+
+def test_a_star_off_the_stamp_may_have_no_light():
+    """All light is far from it, and none of a star at its place: no warning of a division."""
+    image = np.zeros((6, 6))
+    image[5], image[:3] = 10.0, -1.0
+    light, places, misfit = _light._fit(image, [[2.6, -2.6]])
+    assert not light.any()
+    assert places.tolist() == [[2.6, -2.6]]
+    assert np.isfinite(misfit).all()
