@@ -42,8 +42,6 @@ _TURNS, _HARMONICS = (2.0, 10.0), 3
 #: Tolerance: standard deviations of frequencies about a harmonic (0.3 % are beyond), and after
 #: which it may repeat itself.
 _REACH = 3.0
-#: Tolerance: least variance of slow changes in the search, over the noise's.
-_SLOW = 0.1
 #: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
 #: Tolerance: number of runs of a light curve that deviate as much by chance.
@@ -299,7 +297,7 @@ def _with_simple_noise(solution, rest):
     jitter = mad_std(np.diff(rest, 2)) / np.sqrt(6)
     variance = np.median(data.variance)
     width = max(round(1 / float(np.median(np.diff(data.time)))), 1)
-    slow = max(float(np.var(ndimage.uniform_filter1d(rest, width))), _SLOW * variance)
+    slow = max(float(np.var(ndimage.uniform_filter1d(rest, width))), variance / width)
     unit = np.minimum(float(np.var(data.y)) / data.sizes, data.most)
     walk = slow / float(np.ptp(data.time))
     hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, 0.0, 1.0, walk)

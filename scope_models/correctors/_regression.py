@@ -26,8 +26,8 @@ _EXCESS = 0.1
 _ENOUGH = 1500
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
-#: Tolerance: bounds of the logarithms of factors, and of no variance; least ratio of signal and
-#: noise (squared) of columns that the search for the process sees.
+#: Tolerance: bounds of logarithms of factors, which keep the first step from one of them alone, and
+#: of no variance; least signal over noise (squared) of columns in the search for the process.
 _FAR, _NOTHING, _SMALLEST = 12.0, -30.0, 1e-2
 #: Tolerance: steps of a search at most.
 _STEPS = 60

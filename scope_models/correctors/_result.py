@@ -626,7 +626,8 @@ class PLDFit:
         Parameters
         ----------
         width : int, optional
-            Cadences in a window, counted among ``cadences``; by default those of 6.5 hours.
+            Cadences in a window, counted among ``cadences``; by default those of 6.5 hours, or
+            half of all.
         cadences : array_like of bool, optional
             Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
             compared on the same ones, with what each of them left out as an outlier.
@@ -651,7 +652,8 @@ class PLDFit:
             if (chosen & ~usable).any():
                 raise ValueError("`cadences` must have usable pixels")
         used = np.flatnonzero(chosen)
-        width = checked_integer("width", self.window if width is None else width, 1)
+        width = min(self.window, len(used) // 2) if width is None else width
+        width = checked_integer("width", width, 1)
         if len(used) < 2 * width:
             raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
         residual, covariance = self.solution.held_out(width, chosen[usable])

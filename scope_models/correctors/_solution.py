@@ -338,8 +338,8 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
     fitted = partial(_without_outliers, make_regressors=make_regressors, options=options)
     *_, solution = fits = fitted(first)
     if options.trend == "gp":
-        # the evidence of measured fractions, which hold the noise of pixels, says less
-        turns = (-1, 0) if predicted and len(fits) > 1 else (-1,)
+        # measured fractions share the noise of the flux: fits that follow it would seem likelier
+        turns = (-1, 0)[: len(fits)] if predicted else (-1,)
         turns = turns if options.max_clips else (None,)
         found = [_with_variability(first, fits, fitted, use, turn) for turn in turns]
         solution = max(found, key=partial(_evidence, allowed=use))

@@ -126,8 +126,8 @@ def fit_tpf(
     -----
     FitWarning
         If data are left out, no star is seen, the fit has not converged, the model does not
-        describe the pixels, or flux or sensitivity are uncertain; or if one that is
-        not in the model would lower chi-squared by more than 25.
+        describe the pixels, or flux or sensitivity are uncertain; or if one that is not in the
+        model would lower chi-squared by more than 25.
 
     Notes
     -----

@@ -623,7 +623,7 @@ def _flux_doubts(fit):
     light, error = np.mean(fit.flux), np.sqrt(np.mean(fit.flux_scatter**2) / len(fit.flux))
     if abs(light) < LARGEST_SCATTER * error:
         yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
-    # what all cadences have in common, which only a PSF knows
+    # what all cadences have in common, which the PSF determines
     if fit.response and (part := np.median(fit.flux_err / np.abs(fit.flux))) > 1 / CERTAIN:
         yield (
             f"the flux of all cadences is uncertain by {100 * part:.2g} %, for their PSF is not "

@@ -32,8 +32,6 @@ __all__ = [
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
 
-#: Prior: standard deviation of a position where POS_CORR is unknown, px.
-_ANYWHERE = 10.0
 #: Prior: standard deviation of the relative width of the PSF, that of seeing at a good site.
 _WIDTH_PRIOR = 0.2
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
@@ -272,7 +270,7 @@ def _fit_states(stamp, states, shape, images, functions):
     tilt, flat = np.maximum(stamp.waves, tilt) ** -2.0, np.maximum(stamp.waves, 1e-9) ** -2.0
     # a cadence may have outliers in all pixels: steps are of the size of the star's light
     weight, distance = np.ones_like(right), np.zeros_like(right)
-    weight[1:3] = np.where(stamp.known, POSITION_PRIOR, _ANYWHERE) ** -2.0
+    weight[1:3] = np.where(stamp.known, POSITION_PRIOR, 1 + np.ptp(stamp.grid)) ** -2.0
     distance[1:3] = (stamp.expected - states.position).T
     weight[3], distance[3] = _WIDTH_PRIOR**-2, -states.focus
     weight[5:7], weight[7:] = tilt, flat

@@ -209,6 +209,7 @@ def test_held_out_windows_may_hold_outliers(fake_star):
     assert error[10] == pytest.approx(few[1][10], rel=0.01)
     with pytest.raises(ValueError, match="`cadences` must have shape"):
         corrector.held_out(13, everything[1:])
+    assert len(corrector.held_out(cadences=np.arange(400) < 20)[0]) == 2
 
 
 def test_errors_of_held_out_windows_are_at_least_the_noise(star, monkeypatch):
