@@ -26,9 +26,9 @@ _EXCESS = 0.1
 _ENOUGH = 1500
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
-#: Tolerance: bounds of logarithms of factors, which keep the first step from one of them alone, and
-#: of no variance; least signal over noise (squared) of columns in the search for the process.
-_FAR, _NOTHING, _SMALLEST = 12.0, -30.0, 1e-2
+#: Tolerance: logarithm of no variance; least signal over noise (squared) of columns in the search
+#: for the process.
+_NOTHING, _SMALLEST = -30.0, 1e-2
 #: Tolerance: steps of a search at most.
 _STEPS = 60
 #: Tolerance: largest number of rounds; they end when one improves the logarithm by less.
@@ -47,13 +47,14 @@ class Data:
 
     time: np.ndarray  # increasing, days from zero
     y: np.ndarray  # near zero
-    variance: np.ndarray  # of the white noise
+    variance: np.ndarray  # of the white noise, which has a factor
     columns: np.ndarray  # (n, r): those of groups, then ``n_flat`` with flat priors
     groups: np.ndarray  # group of each column that has one
     n_flat: int  # columns with flat priors, whose largest elements are 1
     expected: np.ndarray | float = np.nan  # prior variance of each group, NaN for none
     most: np.ndarray | float = 1e18  # largest prior variance of each group
-    noise_error: float = np.inf  # standard deviation of the logarithm of the white noise's factor
+    noise_errors: tuple = (np.inf, np.inf)  # of the logarithm of its factor, below one and above
+    doubt: np.ndarray | float = 0.0  # variance that adds to the noise as it is
 
     @property
     def n_groups(self):
@@ -65,8 +66,15 @@ class Data:
 
     @cached_property
     def spread(self):
-        """Variance of the data, or that of their noise if that is larger."""
-        return max(float(np.var(self.y)), float(np.median(self.variance)))
+        """Weighted variance of the data, or that of their noise if that is larger."""
+        mean = np.average(self.y, weights=self.counts)
+        square = np.average((self.y - mean) ** 2, weights=self.counts)
+        return max(float(square), float(np.median(self.variance)))
+
+    @cached_property
+    def counts(self):
+        """What each datum counts for the noise."""
+        return self.variance / (self.variance + self.doubt)
 
     @cached_property
     def sizes(self):
@@ -76,10 +84,11 @@ class Data:
 
     def improbability(self, noise_scale, variances):
         """Return minus the logarithm of the hyperprior, and slopes by those of its arguments."""
-        noise = np.log(noise_scale) / self.noise_error
+        error = self.noise_errors[int(noise_scale > 1)]
+        noise = np.log(noise_scale) / error
         ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
         excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
-        slopes = np.append(noise / self.noise_error, ratio / _SPREAD + excess / _EXCESS)
+        slopes = np.append(noise / error, ratio / _SPREAD + excess / _EXCESS)
         return 0.5 * (noise**2 + ratio @ ratio + excess @ excess), slopes
 
     def averaged(self, width):
@@ -94,6 +103,7 @@ class Data:
             time=mean(self.time),
             y=mean(self.y),
             variance=mean(self.variance) / width,
+            doubt=mean(np.broadcast_to(self.doubt, self.y.shape)) / width,
             columns=mean(self.columns),
         )
 
@@ -110,8 +120,8 @@ class Hyperparameters:
 
     def process(self, data):
         """Return the covariance of everything but the columns."""
-        scaled = self.noise_scale * data.variance
-        return Covariance(data.time, scaled, self.amplitude, self.period, self.walk)
+        noise = self.noise_scale * data.variance + data.doubt
+        return Covariance(data.time, noise, self.amplitude, self.period, self.walk)
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""
@@ -136,7 +146,7 @@ class Posterior:
     def __init__(self, gram, prior):
         root = np.sqrt(prior)
         m = root[:, None] * gram[:-1, :-1] * root
-        m.flat[:: len(root) + 1] += 1
+        m.flat[:: len(root) + 1] += 1 + np.finfo(float).eps * np.trace(m)  # its rounding errors
         # The matrix is symmetric: its transpose is in the order that LAPACK takes.
         lower, failed = dpotrf(m.T, lower=1, clean=1, overwrite_a=1)
         if failed:
@@ -220,18 +230,6 @@ class _Trial:
         z = process.whiten(data.stacked)
         return cls(data, hyper, z.T @ z, process.log_determinant)
 
-    def changed(self, variances, factor):
-        """Return it with other variances, and with noise and process multiplied with a factor."""
-        hyper = replace(
-            self.hyper,
-            noise_scale=self.hyper.noise_scale * factor,
-            variances=variances,
-            amplitude=self.hyper.amplitude * factor,
-            walk=self.hyper.walk * factor,
-        )
-        more = len(self.data.y) * np.log(factor)
-        return _Trial(self.data, hyper, self.gram / factor, self.log_determinant + more)
-
     @cached_property
     def value(self):
         """Logarithm of likelihood times hyperprior, but for a constant; -inf: it fails."""
@@ -245,8 +243,11 @@ class _Trial:
 
 
 def _fit_scales(trial):
-    """Maximize over the variances and a factor of noise and long-term process alike."""
-    data, hyper, n = trial.data, trial.hyper, len(trial.data.y)
+    """Maximize over the variances and a factor of noise and long-term process alike.
+
+    The doubt has the same factor here, but counts for it as little as it should.
+    """
+    data, hyper, n = trial.data, trial.hyper, trial.data.counts.sum()
 
     def objective(theta):
         scale = np.exp(theta[0])
@@ -265,28 +266,23 @@ def _fit_scales(trial):
 
     unit = np.log(data.spread / data.sizes)
     least = -np.log(FLAT * hyper.noise_scale)
-    bounds = [(least, _FAR), *zip(unit + _NOTHING, unit + np.log(FLAT), strict=True)]
+    bounds = [(least, np.inf), *zip(unit + _NOTHING, unit + np.log(FLAT), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
-    return trial.changed(np.array(variances), factor)
+    noise, amplitude, walk = factor * np.array([hyper.noise_scale, hyper.amplitude, hyper.walk])
+    best = Hyperparameters(noise, np.array(variances), amplitude, hyper.period, walk)
+    return _Trial.at(data, best)
 
 
 def _minimize(objective, start, bounds, n):
     """Minimize over positive parameters, and return these.
 
-    The first one, the noise, has a smaller unit: ``n`` data determine it much better.
+    Where all parameters have both bounds, the method's first step leads to these (of the noise at
+    once to one of them): the first parameter has no upper one, and a first step of length 1.
     """
-    unit = np.ones(len(start))
-    unit[0] = (n / 2) ** -0.25
-
-    def scaled(theta):
-        value, slope = objective(theta * unit)
-        return value, slope * unit
-
-    start = np.log(np.clip(start, *np.exp(np.transpose(bounds)))) / unit
-    bounds = np.array(bounds) / unit[:, None]
+    start = np.log(np.clip(start, *np.exp(np.transpose(bounds))))
     options = {"maxiter": _STEPS, "ftol": _PRECISION / n}
-    result = minimize(scaled, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return [float(value) for value in np.exp(result.x * unit)]
+    result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return [float(value) for value in np.exp(result.x)]
 
 
 def _compressed(gram, data, hyper):
@@ -321,7 +317,7 @@ def _fit_process(trial):
 
     size = tuple(np.log([np.median(data.variance) / FLAT, FLAT * data.spread]))
     period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
-    bounds = [(-np.log(FLAT), _FAR), (-_FAR, _FAR), size, period, size]
+    bounds = [(-np.log(FLAT), np.inf), (-np.inf, np.inf), size, period, size]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
     n = len(start) if hyper.walk else len(start) - 1
     scale, variance, *process = _minimize(objective, start[:n], bounds[:n], len(data.y))

@@ -153,7 +153,7 @@ class PLDFit:
     @property
     def used(self):
         """Cadences in the fit, ``(n_cadences,)``."""
-        return self._whole(self.solution.use)
+        return self._whole(self.solution.counted)
 
     @property
     def outliers(self):
@@ -174,7 +174,7 @@ class PLDFit:
 
     @property
     def _left_out(self):
-        return self.cadence_mask[self.model.pixels.usable] & ~self.solution.use
+        return self.cadence_mask[self.model.pixels.usable] & ~self.solution.counted
 
     @cached_property
     def _in_dips(self):
@@ -189,7 +189,7 @@ class PLDFit:
     @property
     def n_used(self):
         """Number of cadences in the fit."""
-        return int(self.solution.use.sum())
+        return int(self.solution.counted.sum())
 
     @property
     def n_outliers(self):
@@ -383,7 +383,7 @@ class PLDFit:
 
     @cached_property
     def _change(self):
-        low, high = np.quantile(self.solution.systematics[self.solution.use], norm.cdf([-1, 1]))
+        low, high = np.quantile(self.solution.systematics[self.solution.counted], norm.cdf([-1, 1]))
         return (high - low) / 2
 
     @property

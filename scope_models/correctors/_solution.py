@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
+from scipy import ndimage
 
 from scope_models.correctors._periodic import (
     FAST,
@@ -26,7 +27,8 @@ __all__ = ["NothingToCorrectError", "Solution", "fit"]
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
-#: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
+#: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains,
+#: and less than that of the photons there cannot be.
 _NOISE_ERROR = 0.16
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
@@ -62,7 +64,7 @@ class Solution:
     y: np.ndarray  # logarithm of the relative flux
     variance: np.ndarray
     use: np.ndarray  # cadences in the fit
-    short: np.ndarray  # cadences of short changes, which are left out of it
+    doubt: np.ndarray  # variance of short changes, which adds to the noise in the fit
     regressors: object  # for all usable cadences
     flat: np.ndarray  # columns with flat priors (n, m): variability, short changes, transit
     hyper: Hyperparameters
@@ -77,7 +79,9 @@ class Solution:
     def data(self):
         use, names = self.use, self.regressors.names
         known = _EXPECTED if self.predicted else _MEASURED
-        walks = self.predicted and self.hyper and self.hyper.walk  # which noise resembles
+        # measured fractions explain noise, and a random walk resembles it
+        below = _NOISE_ERROR if self.predicted else np.inf
+        walks = self.hyper and self.hyper.walk
         return Data(
             self.time[use],
             self.y[use],
@@ -87,7 +91,8 @@ class Solution:
             self.flat.shape[1],
             expected=np.square([known.get(name, np.nan) for name in names]),
             most=np.square([_MOST.get(name, 1e9) for name in names]),
-            noise_error=_NOISE_ERROR if walks else np.inf,
+            noise_errors=(below, below if walks else np.inf),
+            doubt=self.doubt[use],
         )
 
     @cached_property
@@ -177,6 +182,25 @@ class Solution:
     def white_variance(self):
         return self.hyper.noise_scale * self.variance
 
+    @property
+    def _fit_variance(self):
+        return self.white_variance + self.doubt
+
+    @property
+    def short(self):
+        """Cadences of short changes, which hardly count in the fit."""
+        return self.doubt > 0
+
+    @property
+    def counted(self):
+        """All others in the fit."""
+        return self.use & ~self.short
+
+    @property
+    def centered(self):
+        """The same with a mean of zero."""
+        return replace(self, y=self.y - self.y[self.counted].mean())
+
     def held_out(self, width, cadences):
         """Predict each window of some cadences, at least all in use, from all others in use.
 
@@ -189,7 +213,7 @@ class Solution:
         inverse -= (x @ whole.posterior.covariance) @ x.transpose(0, 2, 1)
         covariance = np.linalg.inv(inverse)
         rest = (covariance @ whole.alpha[windows, None])[:, :, 0]
-        more = (whole.white_variance - self.white_variance)[cadences]
+        more = (whole._fit_variance - self.white_variance)[cadences]
         np.einsum("ijj->ij", covariance)[:] -= more[windows]
         return rest, covariance
 
@@ -212,7 +236,7 @@ class Solution:
         whole = self._with_weights(cadences)
         expected = 1 / np.maximum(whole.precision, 1e-300)
         white = self.white_variance[cadences]
-        variance = np.maximum(expected - (whole.white_variance[cadences] - white), white)
+        variance = np.maximum(expected - (whole._fit_variance[cadences] - white), white)
         return whole.alpha * expected / np.sqrt(variance)
 
     def _with_weights(self, cadences):
@@ -228,7 +252,7 @@ class Solution:
         for _ in range(options.max_clips):
             deviations = np.abs(solution.deviations(solution.use))
             spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
-            kept = deviations < options.sigma * spread
+            kept = (deviations < options.sigma * spread) | solution.short[solution.use]
             if kept.all() or kept.sum() < 0.5 * self.use.sum():
                 break
             use = solution.use.copy()
@@ -257,31 +281,39 @@ class Solution:
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
         whole = self._with_weights(np.ones_like(self.use))
-        white = whole.white_variance
+        white = whole._fit_variance
         return np.clip(white - white**2 * whole.precision, 0.0, None)
 
     @property
     def unexplained(self):
         """What regressors and flat columns leave of the data, at all usable cadences."""
-        return self.y - self.systematics - self._flat_part(0, self.flat.shape[1])
+        last = self.flat.shape[1]
+        short = self._flat_part(self.n_trend, self.n_trend + self.n_short)
+        return self.y - self.systematics - self._flat_part(0, last) + short
 
     def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
         scale = np.abs(column).max()
         flat = np.concatenate([self.flat[:, : self.n_trend], column / scale], axis=1)
-        return replace(self, flat=flat, scale=scale, use=use, n_short=0)
+        doubt = np.where(column.any(axis=1), 0.0, self.doubt)
+        return replace(self, flat=flat, scale=scale, use=use, doubt=doubt, n_short=0)
 
     def with_short(self, columns):
         """Return the same model with columns of short changes."""
         return self._with_more(columns, n_short=columns.shape[1])
 
-    def without_short(self, allowed):
-        """Return the model, not fitted, of allowed cadences in no short change, and their sizes."""
+    def with_doubt(self):
+        """Return the model, not fitted, with short changes of unknown course, not of boxes.
+
+        Their sizes are standard deviations of their cadences, which count where systematics would
+        be more uncertain than that.
+        """
         first, last = self.n_trend, self.n_trend + self.n_short
         size = with_edges(self.time, np.abs(self._flat_part(first, last)))
-        short, flat = size > 0, np.delete(self.flat, slice(first, last), axis=1)
-        use = allowed & ~short
-        return replace(self, flat=flat, n_short=0, short=short, hyper=None, use=use), size
+        labels, _ = ndimage.label(size)
+        doubt = np.bincount(labels)[labels] * size**2
+        flat = np.delete(self.flat, slice(first, last), axis=1)
+        return replace(self, flat=flat, n_short=0, doubt=doubt).centered
 
     def with_waves(self, waves, use):
         """Return the same model with periodic variability and other cadences."""
@@ -332,78 +364,72 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
     flat = np.concatenate([trend, transit], axis=1)
     scale = np.abs(flat).max(axis=0)
     first = Solution(
-        time, y - y[use].mean(), variance, use, np.zeros_like(use), regressors, flat / scale, None,
+        time, y, variance, use, np.zeros(len(y)), regressors, flat / scale, None,
         options.n_trend, predicted=predicted, scale=scale[-1],
-    )  # fmt: skip
+    ).centered  # fmt: skip
     fitted = partial(_without_outliers, make_regressors=make_regressors, options=options)
-    *_, solution = fits = fitted(first)
     if options.trend == "gp":
-        # measured fractions share the noise of the flux: fits that follow it would seem likelier
-        turns = (-1, 0)[: len(fits)] if predicted else (-1,)
-        turns = turns if options.max_clips else (None,)
-        found = [_with_variability(first, fits, fitted, use, turn) for turn in turns]
-        solution = max(found, key=partial(_evidence, allowed=use))
+        solution = _with_variability(first, fitted, use, short=options.max_clips > 0)
+    else:
+        solution = fitted(first)
     return solution.with_returned(use & ~solution.short, options)
 
 
-def _with_variability(first, fits, fitted, use, turn):
+def _with_variability(first, fitted, use, *, short):
     """Return the likeliest fit of a Gaussian process, with periodic variability or without.
 
-    Short changes are sought in one of the ``fits``, if any: long transits may seem to be outliers
-    before they are known, and outliers short changes.
+    Where ``short`` changes are sought, they are so again with what they change, as long as the fit
+    becomes likelier.
     """
     evidence = partial(_evidence, allowed=use)
 
-    def likeliest(first, fits):
+    def likeliest(first):
         """Return a fit, with short changes if that is likelier."""
-        plain, columns = fits[-1], np.empty((0, 0)) if turn is None else short_changes(fits[turn])
-        if not columns.shape[1]:
-            return plain
-        return max(plain, fitted(first.with_short(columns))[-1], key=evidence)
+        plain = best = fitted(first)
+        while short:
+            # among what seem to be outliers, too, but those that are alone
+            several = ndimage.binary_opening(use & ~best.use, np.ones(2))
+            columns = short_changes(replace(plain, hyper=best.hyper, use=best.use | several))
+            trial = fitted(first.with_short(columns)) if columns.shape[1] else plain
+            if evidence(trial) <= evidence(best):
+                break
+            best = trial
+        return best
 
-    solution = likeliest(first, fits)
+    solution = likeliest(first)
     waves = find_waves(solution, use)
     if len(waves.frequencies):
         waving = first.with_waves(waves, use)
-        periodic = likeliest(waving, fitted(waving))
+        periodic = likeliest(waving)
         likely = max(solution, periodic, key=evidence)
         if not likely.is_fast:
             rotation = find_rotation(solution, periodic.unexplained)
             rotating = first.with_waves(rotation, use)
-            likely = max(likely, likeliest(rotating, fitted(rotating)), key=evidence)
+            likely = max(likely, likeliest(rotating), key=evidence)
         solution = likely
-    if solution.n_short:  # left out, but where systematics would be more uncertain than its size
-        solution, size = solution.without_short(use)
-        *_, solution = fitted(solution)
-        needed = use & solution.short & (solution.systematics_variance > size**2)
-        if needed.any():
-            short = solution.short & ~needed
-            *_, solution = fitted(replace(solution, use=solution.use | needed, short=short))
-        use = use & ~solution.short
+    if solution.n_short:
+        solution = fitted(solution.with_doubt())
     scale = solution.hyper.noise_scale
     if np.log(scale) > _NOISE_ERROR:
         hyper = replace(solution.hyper, walk=scale * np.median(solution.variance))
-        *_, walking = fitted(replace(solution, use=use, hyper=hyper))
-        solution = max(solution, walking, key=partial(_evidence, allowed=use))
+        walking = fitted(replace(solution, use=use, hyper=hyper))
+        solution = max(solution, walking, key=evidence)
     return solution
 
 
 def _without_outliers(solution, make_regressors, options):
-    """Fit the hyper-parameters and leave out outliers by turns; return all fits."""
-    found = []
+    """Fit the hyper-parameters and leave out outliers by turns."""
     for k in range(_REFITS + 1):
         data, hyper = solution.data, solution.hyper
         if hyper is not None and len(hyper.variances) != data.n_groups:
             hyper = None
         hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
         solution = replace(solution, hyper=hyper)
-        found.append(solution)
         use = solution.without_outliers(options).use if k < _REFITS else solution.use
         if (use == solution.use).all():
             break
-        y = solution.y - solution.y[use].mean()
-        solution = replace(solution, use=use, y=y, regressors=make_regressors(use))
-    return found
+        solution = replace(solution, use=use, regressors=make_regressors(use)).centered
+    return solution
 
 
 def _evidence(solution, allowed):

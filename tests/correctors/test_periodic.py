@@ -231,7 +231,7 @@ def test_unmasked_eclipses_keep_their_depth(period):
         found, result = score(corrector.correct(), sky), corrector.result
         assert found.amplitude == pytest.approx(1, abs=0.002)
         # cadences that are taken back as no outliers are none beside each other, either
-        assert np.std(result.solution.pulls[result.solution.use]) < 1.2
+        assert np.std(result.solution.pulls[result.solution.counted]) < 1.2
         full.append(found.full)
     assert np.median(full) < 1.5
 

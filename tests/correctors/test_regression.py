@@ -27,12 +27,14 @@ def log_likelihood(data, hyper):
 
 def flat_variance(data):
     """Flat means a standard deviation of some thirty times the data's."""
-    return 1e3 * max(np.var(data.y), np.median(data.variance))
+    weights = data.variance / (data.variance + data.doubt)
+    square = (data.y - np.average(data.y, weights=weights)) ** 2
+    return 1e3 * max(np.average(square, weights=weights), np.median(data.variance))
 
 
 def dense_covariance(data, hyper):
     """Return the covariance of the data, from its definition."""
-    dense = np.diag(hyper.noise_scale * data.variance)
+    dense = np.diag(hyper.noise_scale * data.variance + data.doubt)
     w = np.sqrt(2) * np.pi / hyper.period
     tau = np.abs(data.time[:, None] - data.time)
     dense += hyper.amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
@@ -157,11 +159,14 @@ def test_compression_keeps_a_column_of_tiny_priors(data):
 
 @pytest.fixture
 def solution(data, hyper):
-    """Return a solution with given hyper-parameters, and every tenth cadence not in the fit."""
-    use = np.arange(N) % 10 != 3
+    """Return a solution with given hyper-parameters; one of ten cadences counts less.
+
+    One of ten is not in the fit.
+    """
+    use, doubt = np.arange(N) % 10 != 3, np.where(np.arange(N) % 10 == 7, 2.0, 0.0)
     regressors = Regressors(data.columns[:, :7], data.groups, ("a", "b"))
     flat = data.columns[:, 7:]
-    return Solution(data.time, data.y, data.variance, use, ~use, regressors, flat, hyper)
+    return Solution(data.time, data.y, data.variance, use, doubt, regressors, flat, hyper)
 
 
 def test_held_out_windows(solution):
@@ -175,14 +180,16 @@ def test_held_out_windows(solution):
         weights = np.linalg.solve(dense[np.ix_(rest, rest)], dense[np.ix_(rest, inside)])
         np.testing.assert_allclose(residual[k], y[inside] - weights.T @ y[rest], atol=1e-8)
         expected = dense[np.ix_(inside, inside)] - weights.T @ dense[np.ix_(rest, inside)]
+        expected -= np.diag(solution.data.doubt[inside])
         np.testing.assert_allclose(covariance[k], expected, atol=1e-8)
 
 
 def test_model_and_its_variance(solution):
     whole = replace(solution, use=np.ones(N, dtype=bool))
     hyper, use = solution.hyper, solution.use
-    latent = dense_covariance(whole.data, hyper) - np.diag(hyper.noise_scale * whole.variance)
-    noisy = (latent + np.diag(hyper.noise_scale * whole.variance))[np.ix_(use, use)]
+    noise = np.diag(hyper.noise_scale * whole.variance + whole.doubt)
+    latent = dense_covariance(whole.data, hyper) - noise
+    noisy = (latent + noise)[np.ix_(use, use)]
     gain = np.linalg.solve(noisy, latent[use]).T
     model = solution.systematics + solution.flat[:, 0] * solution.posterior.mean[-1]
     model = model + solution.process.predict(solution.alpha, solution.time)
@@ -214,6 +221,7 @@ def test_transit_coefficient(solution):
     column = np.where(np.abs(solution.time - 4) < 0.5, -0.02, 0.0)[:, None]
     solution = replace(solution, n_trend=solution.flat.shape[1])
     found, error = solution.with_flat(column, solution.use).transit_coefficient()
+    solution = replace(solution, doubt=np.where(column[:, 0] < 0, 0.0, solution.doubt))
     dense = dense_covariance(solution.data, solution.hyper)
     m = column[solution.use, 0]
     precision = m @ np.linalg.solve(dense, m) + 0.02**2 / flat_variance(solution.data)
