@@ -79,7 +79,7 @@ class Solution:
     def data(self):
         use, names = self.use, self.regressors.names
         known = _EXPECTED if self.predicted else _MEASURED
-        # measured fractions explain noise, and a random walk resembles it
+        # measured fractions explain noise, a random walk resembles it
         below = _NOISE_ERROR if self.predicted else np.inf
         walks = self.hyper and self.hyper.walk
         return Data(
@@ -183,7 +183,8 @@ class Solution:
         return self.hyper.noise_scale * self.variance
 
     @property
-    def _fit_variance(self):
+    def fit_variance(self):
+        """That of the fit, which is not sure of short changes."""
         return self.white_variance + self.doubt
 
     @property
@@ -213,7 +214,7 @@ class Solution:
         inverse -= (x @ whole.posterior.covariance) @ x.transpose(0, 2, 1)
         covariance = np.linalg.inv(inverse)
         rest = (covariance @ whole.alpha[windows, None])[:, :, 0]
-        more = (whole._fit_variance - self.white_variance)[cadences]
+        more = (whole.fit_variance - self.white_variance)[cadences]
         np.einsum("ijj->ij", covariance)[:] -= more[windows]
         return rest, covariance
 
@@ -236,7 +237,7 @@ class Solution:
         whole = self._with_weights(cadences)
         expected = 1 / np.maximum(whole.precision, 1e-300)
         white = self.white_variance[cadences]
-        variance = np.maximum(expected - (whole._fit_variance[cadences] - white), white)
+        variance = np.maximum(expected - (whole.fit_variance[cadences] - white), white)
         return whole.alpha * expected / np.sqrt(variance)
 
     def _with_weights(self, cadences):
@@ -281,15 +282,13 @@ class Solution:
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
         whole = self._with_weights(np.ones_like(self.use))
-        white = whole._fit_variance
+        white = whole.fit_variance
         return np.clip(white - white**2 * whole.precision, 0.0, None)
 
     @property
     def unexplained(self):
         """What regressors and flat columns leave of the data, at all usable cadences."""
-        last = self.flat.shape[1]
-        short = self._flat_part(self.n_trend, self.n_trend + self.n_short)
-        return self.y - self.systematics - self._flat_part(0, last) + short
+        return self.y - self.systematics - self._flat_part(0, self.flat.shape[1])
 
     def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
@@ -303,10 +302,10 @@ class Solution:
         return self._with_more(columns, n_short=columns.shape[1])
 
     def with_doubt(self):
-        """Return the model, not fitted, with short changes of unknown course, not of boxes.
+        """Return the model, not fitted, with short changes of unknown course in place of columns.
 
-        Their sizes are standard deviations of their cadences, which count where systematics would
-        be more uncertain than that.
+        The mean of each has its size as standard deviation: its cadences count where systematics
+        would be more uncertain than that.
         """
         first, last = self.n_trend, self.n_trend + self.n_short
         size = with_edges(self.time, np.abs(self._flat_part(first, last)))
