@@ -5,7 +5,8 @@
 
 DATA is the folder of shared data. A run goes on where it stopped; ``--workers 2`` shares it.
 "--table" writes the tables of docs/evaluation_population.rst, which states the distributions that
-are drawn from, and which stars are held out.
+are drawn from, and which stars are held out; "--everest c01_nPLD.cdpp" takes the table of another
+campaign from the EVEREST repository.
 """
 
 from functools import cache, partial
@@ -127,21 +128,25 @@ def percentiles(values, rng):
     return np.percentile(values, PARTS), np.percentile(picks, PARTS, axis=1).std(1)
 
 
-def write_tables(stars, real, target):
+def compared(ours, theirs, rng):
+    """Return percentiles of real and simulated noise, and the ratios with their errors."""
+    (here, error), (there, _) = (percentiles(values, rng) for values in (ours, theirs))
+    ratio, spread = here / there, error / there
+    agrees = (np.abs(ratio - 1) < 0.15) | (np.abs(ratio - 1) < 2 * spread)
+    cells = [f"{r:.2f} ± {s:.2f}{'' if a else ' (!)'}"
+             for r, s, a in zip(ratio, spread, agrees, strict=True)]  # fmt: skip
+    return [*np.rint(there).astype(int), *np.rint(here).astype(int), *cells]
+
+
+def write_tables(stars, real, target, everest=None):
     """Write percentiles of raw light curves, and medians of corrected ones."""
     rng, raw, corrected = np.random.default_rng(0), [], []
     for low in MAGNITUDES:
         ours, theirs = (table[np.floor(table["kp"]) == low] for table in (stars, real))
         held = theirs[theirs["campaign"] > 3]
-        (here, error), (there, _) = (percentiles(t["raw"], rng) for t in (ours, held))
-        noisy, kept = held["raw"] > there[2], held["everest2"] > 0
+        noisy, kept = held["raw"] > np.percentile(held["raw"], PARTS[2]), held["everest2"] > 0
         tail = [np.median(held["everest2"][kept & part]) for part in (noisy, ~noisy)]
-        ratio, spread = here / there, error / there
-        agrees = (np.abs(ratio - 1) < 0.15) | (np.abs(ratio - 1) < 2 * spread)
-        cells = [f"{r:.2f} ± {s:.2f}{'' if a else ' (!)'}"
-                 for r, s, a in zip(ratio, spread, agrees, strict=True)]  # fmt: skip
-        raw.append([f"{low}-{low + 1}", len(ours), *np.rint(there).astype(int),
-                    *np.rint(here).astype(int), *cells,
+        raw.append([f"{low}-{low + 1}", len(ours), *compared(ours["raw"], held["raw"], rng),
                     round(np.median(ours["raw_file"])), f"{tail[0] / tail[1]:.2f}"])  # fmt: skip
         done = ours[np.isfinite(ours["corrected"])]
         if len(done):
@@ -158,6 +163,13 @@ def write_tables(stars, real, target):
     for suffix, head, rows in (("raw", names, raw), ("corrected", others, corrected)):
         write_csv(f"{target}_{suffix}.csv", [head, *rows])
     write_campaigns(stars, real, target)
+    if everest:
+        kp, noise, full = np.genfromtxt(everest, skip_header=2, usecols=(1, 2, 8)).T
+        good, bins = (full == 0) & (noise > 0), (np.floor(kp), np.floor(stars["kp"]))
+        rows = [[row[0], np.sum(good & (bins[0] == low)),
+                 *compared(stars["raw"][bins[1] == low], noise[good & (bins[0] == low)], rng)]
+                for low, row in zip(MAGNITUDES, raw, strict=True)]  # fmt: skip
+        write_csv(f"{target}_everest.csv", [names[:11], *rows])
 
 
 def write_campaigns(stars, real, target):
@@ -175,10 +187,10 @@ def write_campaigns(stars, real, target):
 
 
 def main(argv=None):
-    options = arguments_of(__doc__, argv, 6000, corrected=600)
+    options = arguments_of(__doc__, argv, 6000, corrected=600, everest="")
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
-        return write_tables(table, real_stars(options.data), options.table)
+        return write_tables(table, real_stars(options.data), options.table, options.everest)
     every = max(1, options.stars // options.corrected) if options.corrected > 0 else 0
     return sweep_rows(
         options, partial(observe, data=options.data, every=every), options.stars, rows_of
