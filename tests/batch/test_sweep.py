@@ -375,9 +375,12 @@ class TestResuming:
 def test_interrupt_of_the_terminal_is_one_line(tmp_path, delay):
     script = tmp_path / "script.py"
     script.write_text(
+        "import signal\n"
         "import sys\n"
         "from scope_models.cli import main\n"
         "if __name__ == '__main__':\n"
+        # A shell that starts the tests in the background lets them ignore it, and their children.
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "    print('begun', flush=True)\n"
         f"    sys.exit(main(['simulate', '--table', {str(tmp_path / 't.csv')!r}, '--workers', '2',"
         f" '--output-dir', {str(tmp_path / 'out')!r}]))\n"

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 try:
     import resource
@@ -398,6 +399,8 @@ def same(one, other):
         return same(read_pixels(one), read_pixels(other))
     if hasattr(one, "at_cadences"):
         return one == other
+    if isinstance(one, dict):  # positions: beside the columns are facts and the name of the file
+        one, other = SimpleNamespace(**one), SimpleNamespace(**other)
     names = ("time", "flux", "flux_err", "quality", "cadenceno", "pos_corr", "x", "y")
     if not any(hasattr(one, name) for name in names):
         return repr(one) == repr(other)
