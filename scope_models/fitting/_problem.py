@@ -193,7 +193,7 @@ class Problem:
     stars: tuple  # the first one without offsets
     span: tuple  # first and last time of the focus, days
     center: tuple  # where the linear map to other files has the first star
-    target: np.ndarray | None = None  # position of the first star, if given
+    places: tuple  # of the first star, None for the brightest, and of others in its file
     error_scale: float = 1.0  # factor of all errors in the fit
     misfit: float = 1.0  # ... of the errors that are quoted
 

@@ -318,7 +318,7 @@ def fit_response(problem, solution, fits, report):
         moved = np.inf if corr is None else np.hypot(*corr.std(axis=0)) or np.inf
         error = min(_POSITION_ERROR, _POSITION_PART * moved)
     problem = replace(few, stamps=problem.stamps, error_scale=1.0)
-    center = centroids(problem.data, problem.target)
+    center = centroids(problem.data, *problem.places)
     if corr is not None and problem.options.positions != "free":
         center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
     cadence = np.zeros((len(center), len(problem.columns)))

@@ -194,7 +194,7 @@ def located(data, target, others, own):
     Those within ``own`` pixels are the target; but a given star at the brightest light is another
     one if there is light of no given star.
     """
-    center = np.median(centroids(data, target), axis=0)
+    center = np.median(centroids(data, target, others), axis=0)
     itself = np.hypot(*(others - center).T) <= own
     if target is None and own < APART and itself.any():
         peaks = find_stars(data.light)
@@ -294,7 +294,7 @@ def _with_fixed(prf, fixed):
 
 def starting_state(problem):
     """Positions from centroids, fluxes from linear fits, the rest from the model."""
-    xy, positions = centroids(problem.data, problem.target), problem.options.positions
+    xy, positions = centroids(problem.data, *problem.places), problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
     if problem.data.pos_corr is not None and positions != "free":
         fitted = _path(problem, xy)
@@ -307,7 +307,7 @@ def starting_state(problem):
 def continued_state(problem, solution):
     """Return the state of all cadences from the solution for some of them."""
     if problem.data.pos_corr is None or problem.options.positions == "free":
-        xy = centroids(problem.data, problem.target)
+        xy = centroids(problem.data, *problem.places)
     else:
         xy = problem.basis @ _path(solution.problem, solution.state.cadence[:, :2])
     return _at(problem, xy, solution.state.shared, solution.state.interpixel)
@@ -329,8 +329,11 @@ def _at(problem, xy, *shared):
     return linear_start(problem, State(*shared, cadence))
 
 
-def centroids(data, place=None):
-    """First moments of bright pixels around the brightest, or near a place, ``(n, 2)``."""
+def centroids(data, place=None, others=()):
+    """First moments of bright pixels around the brightest, or near a place, ``(n, 2)``.
+
+    Pixels nearer to one of the ``others``, which may be brighter, are not near the place.
+    """
     image = median_image(data.light)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
@@ -338,10 +341,14 @@ def centroids(data, place=None):
     rows, columns = (index.ravel() for index in np.indices(image.shape))
     image, flux = image.ravel(), flux.reshape(len(flux), -1)
     if place is not None:
-        near = np.hypot(columns - place[0], rows - place[1]) <= _NEAR
+        apart = [other for other in others if np.hypot(*np.subtract(other, place)) > APART]
+        away = [np.hypot(columns - x, rows - y) for x, y in (place, *apart)]
+        near = away[0] <= _NEAR
         if not near.any():
             at = f"({place[0]:.6g}, {place[1]:.6g})"
             raise ValueError(f"no pixel is within {_NEAR} px of the star at {at}")
+        own = near & (away[0] <= np.min(away, axis=0))
+        near = own if own.any() else near
         image, flux = image * near, flux * near
     # Where the star is for some time; cosmic rays are elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)

@@ -410,7 +410,7 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         raise ValueError("the files have no cadence in common")
     stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     found = [_start.located(stamp, *item) for stamp, item in zip(stamps, places, strict=True)]
-    stars, (target, first, _) = [], found[0]
+    stars, first = [], found[0][1]
     for number, (stamp, (_, center, others)) in enumerate(zip(stamps, found, strict=True)):
         stars.append(FitStar(*(center - first), number))
         for other in others:
@@ -421,7 +421,7 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     span = stamps[0].time[[0, -1]].tolist()
     if options.focus is not None and len(common) * options.focus < span[1] - span[0]:
         raise ValueError(f"`focus` is shorter than the cadences are apart, {options.focus:.3g} d")
-    given = tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target
+    given = tuple(stamps), prf, options, tuple(stars), span, first.tolist(), found[0][::2]
     return Problem(*given), detectors
 
 

@@ -103,16 +103,17 @@ def test_a_close_neighbor():
         assert np.abs(pulls(star.flux, star.flux_err, truth)).max() < 5
 
 
-@pytest.mark.parametrize("on_sky", [False, True])
-def test_a_brighter_neighbor(on_sky):
+@pytest.mark.parametrize("place", [PLACES[1], (5.4, 4.4)])  # the second beside the target's pixel
+@pytest.mark.parametrize("how", ["pixels", "sky", "find"])
+def test_a_brighter_neighbor(place, how):
     scene = Scene(
-        [Star(15.0, *PLACES[0]), Star(13.0, *PLACES[1])], DETECTOR, Motion.k2_roll(60), seed=1,
+        [Star(15.0, *PLACES[0]), Star(13.0, *place)], DETECTOR, Motion.k2_roll(60), seed=1,
         ra=10.0, dec=5.0,
     )  # fmt: skip
     observation = simulate(scene)
     tpf = observation.to_tpf()
-    places = tpf.wcs.pixel_to_world(*PLACES[1]) if on_sky else [PLACES[1]]
-    fit = fit_tpf(tpf, 1, neighbors=places, interpixel=0)
+    given = {"pixels": [place], "sky": tpf.wcs.pixel_to_world(*place), "find": "find"}
+    fit = fit_tpf(tpf, 1, neighbors=given[how], interpixel=0)
     (neighbor,) = fit.neighbors
     for k, star in enumerate((fit, neighbor)):
         assert np.median(star.flux) == pytest.approx(observation.truth.flux[k], rel=1e-3)
