@@ -30,8 +30,9 @@ _FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
 # Standard deviation of positions that are a map of POS_CORR, pixels: a tenth of the photon noise of
 # a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest step of a position or shape, and way of a star from its first guess, pixels.
-LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
+# Largest step of a position or shape, and way of a star from its first guess beside the first star,
+# whose guesses err by 1 px each, pixels.
+LARGEST_MOVE, _STAR_MOVE = 0.3, 2**0.5
 # Narrower PSFs are the same to a pixel, tighter correlations only cost time, and charge that
 # diffuses farther is not collected in pixels.
 _LEAST_WIDTH = 0.1
