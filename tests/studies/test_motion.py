@@ -256,8 +256,16 @@ def test_the_pages_show_the_stored_study(repository, monkeypatch):
             assert list(csv.reader(file)) == rows
 
 
+# 18 px of a real motion are more places than 1000 cadences show.
+TOO_FAR = pytest.mark.filterwarnings(
+    "ignore:.*the star has too many places:scope_models.exceptions.DetrendingWarning"
+)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["k2_roll", "ktwo211117077-c04_llc.fits"])
+@pytest.mark.parametrize(
+    "motion", ["k2_roll", pytest.param("ktwo211117077-c04_llc.fits", marks=TOO_FAR)]
+)
 def test_the_claims_of_the_paper_hold(motion, shared_data):
     if motion != "k2_roll":
         motion = str(shared_data / "poscorr" / motion)
