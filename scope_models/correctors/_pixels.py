@@ -156,7 +156,7 @@ def choose_aperture(series, place):
         raise ValueError(f"{message}, give `aperture_mask`")
     target = _target_pixels(mean, near, place)
     peak = np.argmax(np.where(target, mean, -np.inf))
-    others = lit & ~own_pixels(mean, peak)
+    others = lit & ~own_pixels(mean, peak) & (mean > CLIP * noise / 3)
     own = (labels == labels.flat[peak]) & ~others
     best = own
     if pos_corr is not None:

@@ -262,22 +262,12 @@ class Solution:
         return solution
 
     def with_returned(self, allowed, options):
-        """Take back allowed cadences that only seemed to be outliers beside others.
-
-        Those that still are outliers are left out again, the farther half at a time.
-        """
+        """Take back allowed cadences that only seemed to be outliers beside others."""
         deviations = np.abs(self.deviations(allowed))
         limit = 1.4826 * options.sigma * np.median(deviations[self.use[allowed]])
-        returned = np.zeros_like(allowed)
-        returned[allowed] = deviations < limit
-        returned &= ~self.use
-        while returned.any():
-            solution = replace(self, use=self.use | returned)
-            deviations = np.abs(solution.deviations(solution.use))[returned[solution.use]]
-            if deviations.max() < limit:
-                return solution
-            returned[returned] = deviations < max(limit, deviations.max() / 2)
-        return self
+        use = self.use.copy()
+        use[allowed] |= deviations < limit
+        return replace(self, use=use).without_outliers(options)
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
@@ -287,8 +277,10 @@ class Solution:
 
     @property
     def unexplained(self):
-        """What regressors and flat columns leave of the data, at all usable cadences."""
-        return self.y - self.systematics - self._flat_part(0, self.flat.shape[1])
+        """What is no systematics, trend or transit, at all usable cadences."""
+        last, begin = self.flat.shape[1], self.n_trend
+        explained = self._flat_part(0, begin) + self._flat_part(begin + self.n_short, last)
+        return self.y - self.systematics - explained
 
     def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
