@@ -276,8 +276,7 @@ def _fit_scales(trial):
 def _minimize(objective, start, bounds, n):
     """Minimize over positive parameters, and return these.
 
-    Where all parameters have both bounds, the method's first step leads to these (of the noise at
-    once to one of them): the first parameter has no upper one, and a first step of length 1.
+    The first one has no upper bound: if all had two, the first step would lead to them.
     """
     start = np.log(np.clip(start, *np.exp(np.transpose(bounds))))
     options = {"maxiter": _STEPS, "ftol": _PRECISION / n}
@@ -328,11 +327,11 @@ def _fit_process(trial):
 def fit_hyperparameters(data, start=None, *, trend=True):
     """Maximize the marginal likelihood.
 
-    The columns' parameters are improved at fixed process, where only a small matrix enters,
-    and the process' with the columns compressed, by turns. Of very many cadences, means are
-    searched first. Without a ``start`` there are two, for whether a slow change is variability or
-    systematics can make two maxima: columns or slow process are as large as the data, the other
-    ones as small as the noise. Without ``trend`` there is no process.
+    The columns' parameters are improved at fixed process, where only a small matrix enters, and
+    the process' with the columns compressed, by turns; of many cadences, first for means. Without a
+    ``start`` there are two, for a slow change may be variability or systematics: columns or slow
+    process are as large as the data, the other ones as small as the noise. Without ``trend`` there
+    is no process.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
@@ -411,9 +410,8 @@ class Covariance:
         """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
 
         The derivative of f by its argument is F F^T / 2, and whitened is what `whiten` makes of the
-        columns C, times F. With G = inv(K) C F, a change dK of K changes f by -G^T dK G / 2: no
-        derivative is carried through the factorization's recursions for all columns. Return those
-        by the variance of the noise, ``(n,)``, and the logarithms of amplitude, period and walk.
+        columns C, times F. With G = inv(K) C F, a change dK of K changes f by -G^T dK G / 2. Return
+        slopes by the noise's variance, ``(n,)``, and the logarithms of amplitude, period and walk.
         """
         solved = self.solve_whitened(whitened)
         by_noise = 0.5 * np.einsum("ij,ij->i", solved, solved)

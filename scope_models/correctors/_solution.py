@@ -341,11 +341,10 @@ class Solution:
 
 
 def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=False):
-    """Fit, and leave out outliers until there are none.
+    """Return the likeliest fit without outliers.
 
-    If the star has frequencies, the fit is made again with columns for them, and the more likely
-    one is returned. ``make_regressors`` takes the mask of cadences in use; ``use`` are those that
-    may be, ``transit`` has one column or none.
+    ``make_regressors`` takes the mask of cadences in use; ``use`` are those that may be,
+    ``transit`` has one column or none.
     """
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
@@ -369,8 +368,7 @@ def fit(make_regressors, time, y, variance, use, transit, options, *, predicted=
 def _with_variability(first, fitted, use, *, short):
     """Return the likeliest fit of a Gaussian process, with periodic variability or without.
 
-    Where ``short`` changes are sought, they are so again with what they change, as long as the fit
-    becomes likelier.
+    Where ``short`` changes are sought, they are so again as long as the fit becomes likelier.
     """
     evidence = partial(_evidence, allowed=use)
 
