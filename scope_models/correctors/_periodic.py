@@ -214,9 +214,9 @@ def find_rotation(solution, rest):
 def find_waves(solution, allowed):
     """Return the `_Waves` of a star's variability, found one after the other.
 
-    In each round all columns are fitted together, and the frequencies that explain most of the
-    rest are added. If harmonics of one frequency are more likely, as of eclipses, these take their
-    place. Regressors are among the columns: what they explain is not variability.
+    In each round all columns are fitted together, regressors too, and the frequencies that explain
+    most of the rest are added. If harmonics of one frequency are more likely, as of eclipses, these
+    take their place.
     """
     n_most = allowed.sum() // _CADENCES_PER_FREQUENCY
     waves, rest = _Waves(), solution.y
@@ -328,9 +328,8 @@ def _spectrum(solution):
 def short_changes(solution):
     """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates.
 
-    It does so from what all other cadences predict with regressors and a slow process, which
-    follows no transit. The unit is the typical deviation of runs of the same length, of which there
-    are few long ones: by chance, deviations follow Student's t.
+    It does so from what all other cadences predict with regressors and a slow process. The unit is
+    the typical deviation of runs of the same length: by chance, deviations follow Student's t.
     """
     time, used = solution.time, solution.data.time
     width = _width(used)

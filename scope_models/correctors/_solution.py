@@ -28,7 +28,7 @@ __all__ = ["NothingToCorrectError", "Solution", "fit"]
 _REFITS = 2
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
 #: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains,
-#: and less than that of the photons there cannot be.
+#: and less than the photons' there is not.
 _NOISE_ERROR = 0.16
 
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
@@ -232,7 +232,7 @@ class Solution:
     def deviations(self, cadences):
         """Return deviations of cadences, at least all in use, from predictions of others in use.
 
-        The unit is their standard deviation.
+        They are in standard deviations.
         """
         whole = self._with_weights(cadences)
         expected = 1 / np.maximum(whole.precision, 1e-300)
