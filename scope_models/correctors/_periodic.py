@@ -250,8 +250,8 @@ def _with_series(waves, fit, n_most):
     """Return the waves, or harmonics of one frequency and what is left if they are more likely.
 
     Most of the waves are multiples of the frequency, by less chance than of others. Of two nearly
-    equal eclipses in a period even multiples are the strongest: if as many multiples of half of the
-    frequency gain much more, or odd ones are needed, it is half.
+    equal eclipses in a period even multiples are the strongest: if as many multiples of half of it
+    gain much more, or odd ones are needed, it is half.
     """
     time = fit(waves).data.time
     length = np.ptp(time)

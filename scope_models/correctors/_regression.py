@@ -361,8 +361,8 @@ class Covariance:
     The kernel of the oscillator is that of a stochastically driven, damped one of quality
     :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|} (\cos w\tau + \sin w|\tau|)` with
     :math:`w = \sqrt{2}\,\pi/\rho`. The ``amplitude`` is the variance :math:`\sigma^2`, the
-    ``period`` the undamped :math:`\rho` in days, ``walk`` half of the variance of the steps of the
-    random walk in a day; times in days ``(n,)`` increase.
+    ``period`` the undamped :math:`\rho`, ``walk`` half of the variance of the random walk's daily
+    steps; times in days increase.
     """
 
     def __init__(self, time, variance, amplitude, period, walk=0.0):

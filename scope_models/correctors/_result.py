@@ -470,9 +470,8 @@ class PLDFit:
         Return the part of a transit's depth that survives the whole correction.
 
         The transit is put into the star's own light in the pixels, and everything is done again
-        with the same aperture and options. Transits that repeat may survive as periodic
-        variability, deep ones as outliers. Light of other stars in the aperture makes the depth
-        smaller too. A number above 1 is a transit that the correction makes deeper.
+        with the same aperture and options. Light of other stars in the aperture makes the depth
+        smaller, too. A number above 1 is a transit that the correction makes deeper.
 
         Parameters
         ----------

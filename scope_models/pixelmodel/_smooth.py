@@ -230,8 +230,7 @@ class Smoother:
         The course is drawn to its mean by Wiener's factor, its variance over the sum of this and of
         the variance of its noise: noise has no course. Cadences that are not in use take the values
         of those around them. Widths are tried from the next narrower one on than was best for a
-        name the last time. Values that are far from any course beside their errors, as seeing is,
-        are their own course: noise that is small beside them leaks nowhere.
+        name the last time. Values far from any course, as seeing's, are their own.
         """
         use = self.use
         typical, own = quantile(error[use]), (values, error)
