@@ -113,9 +113,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
 
     It is learned from the cadences of a mask. Neighbors are columns and rows, ``(k, 2)``, or None:
     those with peaks of their own are found, and those whose light does not follow the star's, for
-    the bumps of a PRF look like neighbors of up to 20 % of a star's light (official PRFs of TESS,
-    camera 2, CCD 3); "find": all. Where charge bleeds, only the sum along a column is the stars'.
-    Return a `NeighborLight`, or None.
+    bumps of a PRF look like neighbors of up to 20 % of a star's light; "find": all. Where charge
+    bleeds, only the sum along a column is the stars'. Return a `NeighborLight`, or None.
     """
     given, usable = not isinstance(neighbors, str | None), pixels.usable
     use = pixels.quiet(cadence_mask & pixels.lit & usable)
@@ -130,12 +129,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
     columns = Columns(np.argwhere(pixels.aperture)[:, ::-1], bled[pixels.aperture])
     inside, known = flux[usable][:, pixels.aperture], None if pos_corr is None else pos_corr[usable]
     inside = columns.summed(inside)
-    constant = np.zeros(1) if neighbors is not None else _constant_light(inside, known)
+    constant = _constant_light(inside, known) if neighbors is None else np.zeros(inside.shape[1])
     everywhere = isinstance(neighbors, str) or np.abs(constant).max() > CLIP
     if not (given or everywhere) and pixels.own.all():
         return None
-    image = typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
-    image = np.nan_to_num(image)
+    image = np.nan_to_num(
+        typical_image(flux[use]) if pos_corr is None else at_one_place(flux[use], pos_corr[use])
+    )
     box = pixels.near
     far = np.ones(image.shape, dtype=bool)
     far[box] = False
@@ -145,7 +145,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors, saturation):
         if given:
             stars = np.vstack([center_of_light(image, pixels.core), neighbors])
         else:
-            stars = _found(image, pixels, everywhere)
+            seen = columns.places[constant >= max(constant.max(), CLIP)]
+            stars = _found(image, pixels, everywhere, seen)
         series = series.replace(flux=flux, flux_err=pixels.flux_err, pos_corr=pos_corr)
         fit, places, fluxes = _first_fit(series[few], stars, given=given)
         data = _with_priors(fit, series, few, box)
@@ -207,9 +208,13 @@ def _with_priors(fit, series, few, box):
     return CrowdPixels(flux, error, expected, sigma)
 
 
-def _found(image, pixels, everywhere):
-    """Return the places of stars in an image, first that at the file's coordinates, ``(k, 2)``."""
+def _found(image, pixels, everywhere, seen):
+    """Return the places of stars in an image, first that at the file's coordinates, ``(k, 2)``.
+
+    If there is one only, another is where constant light has been ``seen``.
+    """
     stars = stars_of(image, pixels.core, everywhere | ~pixels.own)
+    stars = np.vstack([stars, seen[: len(stars) == 1]])
     if pixels.place is not None:
         columns, rows = np.rint(stars).astype(int).T
         seen = image[np.clip(rows, 0, len(image) - 1), np.clip(columns, 0, image.shape[1] - 1)]

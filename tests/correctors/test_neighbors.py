@@ -60,6 +60,18 @@ def test_neighbor_is_found_where_it_is(neighbor):
     assert found["flux"][0].value == pytest.approx(light.sum(), rel=0.03)
 
 
+@pytest.mark.parametrize("seed", [2045, 7004])
+def test_a_neighbor_without_a_peak_is_where_constant_light_is(seed):
+    """Spots of 0.6 % would be taken off with the images' misfit, which follows the star."""
+    sky = make_sky("tess-spots-3d-neighbor-close", seed, n_cadences=1500)
+    corrector = corrected(sky)
+    light = sky.neighbor_light.sum(axis=(1, 2)).mean()
+    assert corrector.result.neighbors["flux"].value == pytest.approx([light], rel=0.03)
+    flux, rows = corrector.corrected_lc.flux.value, np.isin(sky.cadenceno, corrector.tpf.cadenceno)
+    slope, level = np.polyfit(sky.true_flux[rows], flux / np.nanmedian(flux), 1)
+    assert slope / (slope + level) == pytest.approx(1, abs=0.01)
+
+
 def test_positions_are_those_of_the_target(neighbor):
     sky, corrector = neighbor
     keep = np.isin(sky.cadenceno, np.asarray(corrector.tpf.cadenceno))
