@@ -34,8 +34,7 @@ __all__ = [
 #: Branch: a pixel that holds light of the star in this part of the cadences may belong to the
 #: default aperture: light that a rare excursion carries out of it would be lost.
 _BRIGHT_PART = 0.002
-#: Branch: a correction that changes the flux by a larger factor than this, against the others, is
-#: none.
+#: Branch: a correction that changes the flux by a larger factor than this is none.
 LARGEST_CORRECTION = 30.0
 #: Warning: a correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
 WORSE = 1.1

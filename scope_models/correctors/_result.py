@@ -557,9 +557,9 @@ class PLDFit:
         those of ``transit_mask`` that are no outliers from the model with the transit.
 
         Then the transit is taken out of the star's light in the pixels, and everything is done
-        again, up to three times: what the fit still finds is the response of the chain, pixel
-        fractions and all. The amplitude is the one that leaves no transit in the fit. It is
-        relative to all light in the aperture, less that of neighbors that was taken off.
+        again, up to three times: what the fit still finds is the response of the chain. The
+        amplitude is the one that leaves no transit in the fit. It is relative to all light in the
+        aperture, less that of neighbors that was taken off.
 
         Parameters
         ----------

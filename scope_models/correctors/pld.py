@@ -39,8 +39,7 @@ _SUCCESSORS = {
     "spline_n_knots": 'the trend has no knots: `trend="gp"` fits its time scale to the data, '
     '`trend="quadratic"` is a polynomial',
     "spline_degree": 'the trend is no spline: choose `trend="gp"` or `trend="quadratic"`',
-    "sparse": "matrices are small, as they have only the columns that the data determine: "
-    "leave it out",
+    "sparse": "matrices are small: leave it out",
     "normalize_background_pixels": "the columns of `background` are divided by the star's flux: "
     "leave it out, or pass columns of your own as `regressors`",
     "n_samples": "errors are computed in closed form, without samples: leave it out",
