@@ -426,7 +426,7 @@ def learn(first, pixels):
         right = np.append(flat.T @ rest.ravel(), np.sum(light * rest, axis=0))
         away = np.append(crowd.values - first.values, crowd.gains.ravel() - 1)
         gram = (gram - inside.T @ inside) * sizes[:, None] * sizes + np.eye(len(sizes))
-        right = sizes * (right - inside.T @ seen.ravel()) - away / sizes
+        right = sizes * (right - inside.T @ seen.ravel()) - away / np.maximum(sizes, 1e-300)
         gram = np.block([[gram, whole[:, None]], [whole, 0.0]])
         step = sizes * np.linalg.solve(gram, np.append(right, 0.0))[:-1]
         states = _moved(states, factor, seen - (inside @ step).reshape(n, 5))
