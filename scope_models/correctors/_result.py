@@ -36,7 +36,7 @@ _MANY, _FOLLOWING, _NOISY = 0.1, 0.05, 9.0
 #: Warning: smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
-#: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
+#: may be wrong by.
 _SURVIVALS = (-0.05, 1.15)
 #: Tolerance: depth of the boxes of ``PLDFit.survival``: so many errors of their mean, within these
 #: bounds.
@@ -318,13 +318,11 @@ class PLDFit:
             model, and what other stars and light outside add: see :doc:`/explanation/pld`.
         """
         solution = self.solution
-        removed, variance = solution.systematics, solution.systematics_variance
-        if not restore_trend:
-            removed = removed + solution.trend
-            variance = solution.latent_variance()
+        removed = solution.systematics + (not restore_trend) * solution.trend
+        variance = solution.variance_left(trend=not restore_trend)
         with np.errstate(all="ignore"):  # see `credible_flux`
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
-            error = flux * np.sqrt(solution.white_variance + variance)
+            error = flux * np.sqrt(variance)
             error = np.hypot(error, self.contrast_error * (flux - np.median(flux)))
             error = np.hypot(error, self._image_error * flux)
         return self._whole(flux), self._whole(error)
@@ -461,7 +459,8 @@ class PLDFit:
         rows = (np.cumsum(usable) - 1)[index]
         by_images = self._image_error[rows]
         covariance = self.solution.systematics_covariance(rows) + np.outer(by_images, by_images)
-        return covariance + np.diag(self.solution.white_variance[rows])
+        np.fill_diagonal(covariance, self.solution.variance_left(trend=False)[rows] + by_images**2)
+        return covariance
 
     # Questions to the data at the fitted hyper-parameters
 
@@ -495,9 +494,7 @@ class PLDFit:
         Warns
         -----
         DetrendingWarning
-            If the survival is NaN, with the reason: the model is constant in the data, the
-            correction fails with the transit in it, the slope is outside of -0.05 to 1.15, or two
-            of its standard deviations reach from nothing to all, as in short or wild series.
+            If the survival is NaN, with the reason; see :doc:`/explanation/pld`.
         """
         return self._survival_of(transit_model, depth)[0]
 
@@ -552,14 +549,11 @@ class PLDFit:
         """
         Measure the depth of a transit with all uncertainties of the correction.
 
-        The amplitude of the model is fitted jointly with the systematics and the long-term
-        variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
-        those of ``transit_mask`` that are no outliers from the model with the transit.
-
-        Then the transit is taken out of the star's light in the pixels, and everything is done
-        again, up to three times: what the fit still finds is the response of the chain. The
-        amplitude is the one that leaves no transit in the fit. It is relative to all light in the
-        aperture, less that of neighbors that was taken off.
+        The amplitude is fitted jointly with systematics and variability, whose hyper-parameters
+        stay as they are, to the cadences of the fit and those of ``transit_mask`` that are no
+        outliers. Then the transit is taken out of the star's light in the pixels, and everything is
+        done again, up to three times: the amplitude is the one that leaves no transit in the fit.
+        It is relative to all light in the aperture, less that of neighbors that was taken off.
 
         Parameters
         ----------
@@ -619,8 +613,7 @@ class PLDFit:
         """
         Predict windows of cadences by a model that has not seen them.
 
-        The hyper-parameters stay as they are; the coefficients and the long-term variability are
-        inferred again for each window from all others, in closed form.
+        Coefficients and variability are inferred from all others, the hyper-parameters are not.
 
         Parameters
         ----------
@@ -628,8 +621,8 @@ class PLDFit:
             Cadences in a window, counted among ``cadences``; by default those of 6.5 hours, or
             half of all.
         cadences : array_like of bool, optional
-            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
-            compared on the same ones, with what each of them left out as an outlier.
+            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Compare fits
+            on the same ones.
 
         Returns
         -------

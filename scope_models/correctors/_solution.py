@@ -262,18 +262,35 @@ class Solution:
         return solution
 
     def with_returned(self, allowed, options):
-        """Take back allowed cadences that only seemed to be outliers beside others."""
+        """Take back allowed cadences that seemed to be outliers beside others, nearest first."""
         deviations = np.abs(self.deviations(allowed))
         limit = 1.4826 * options.sigma * np.median(deviations[self.use[allowed]])
-        use = self.use.copy()
-        use[allowed] |= deviations < limit
-        return replace(self, use=use).without_outliers(options)
+        returned = np.zeros_like(allowed)
+        returned[allowed] = deviations < limit
+        returned &= ~self.use
+        while returned.any():
+            solution = replace(self, use=self.use | returned)
+            deviations = np.abs(solution.deviations(solution.use))[returned[solution.use]]
+            if deviations.max() < limit:
+                return solution
+            returned[returned] = deviations < max(limit, deviations.max() / 2)
+        return self
 
-    def latent_variance(self):
-        """Variance of the model, systematics and trend together, at all usable cadences."""
-        whole = self._with_weights(np.ones_like(self.use))
-        white = whole.fit_variance
-        return np.clip(white - white**2 * whole.precision, 0.0, None)
+    def variance_left(self, *, trend):
+        """Variance of the data without systematics, and without the ``trend`` if that is true.
+
+        The model follows some of the noise, which is taken off with it.
+        """
+        if trend:
+            whole = self._with_weights(np.ones_like(self.use))
+            followed = np.clip(1 - whole.fit_variance * whole.precision, 0.0, None)
+            variance = whole.fit_variance * followed
+        else:
+            variance, followed = self.systematics_variance, np.zeros(len(self.use))
+            columns, k = self.regressors.columns[self.use], self.n_regressors
+            covariance = self.posterior.covariance[:k]
+            followed[self.use] = np.einsum("ij,ij->i", columns @ covariance, self.solved)
+        return variance + self.white_variance * (1 - 2 * followed)
 
     @property
     def unexplained(self):

@@ -194,13 +194,31 @@ def test_model_and_its_variance(solution):
     model = solution.systematics + solution.flat[:, 0] * solution.posterior.mean[-1]
     model = model + solution.process.predict(solution.alpha, solution.time)
     np.testing.assert_allclose(model, gain @ solution.y[use], atol=1e-8)
-    variance = np.diag(latent - gain @ latent[use])
-    np.testing.assert_allclose(solution.latent_variance(), variance, rtol=1e-4)
     x = solution.regressors.columns
     prior = hyper.variances[solution.regressors.groups]
     part = (x * prior) @ x.T
     expected = np.diag(part - part[:, use] @ np.linalg.solve(noisy, part[use]))
     np.testing.assert_allclose(solution.systematics_variance, expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("trend", [False, True])
+def test_variance_of_what_is_left(solution, trend):
+    """Noise and the error of the model, which has followed some of the noise."""
+    whole = replace(solution, use=np.ones(N, dtype=bool))
+    use, white = solution.use, np.diag(solution.white_variance)
+    noise = white + np.diag(solution.doubt)
+    latent = dense_covariance(whole.data, solution.hyper) - noise
+    x = solution.regressors.columns
+    part = latent if trend else x * solution.hyper.variances[solution.regressors.groups] @ x.T
+    gain = np.zeros((N, N))
+    gain[:, use] = np.linalg.solve((latent + noise)[np.ix_(use, use)], part[use]).T
+    one = np.eye(N)
+    # what is left less what shall be: noise, and the part less what is predicted of it
+    expected = (one - gain) @ white @ (one - gain).T + gain @ np.diag(solution.doubt) @ gain.T
+    rest = latent - part
+    expected += (one - gain) @ part @ (one - gain).T + gain @ rest @ gain.T
+    variance = solution.variance_left(trend=trend)
+    np.testing.assert_allclose(variance, np.diag(expected), rtol=1e-4)
 
 
 def test_parameters_and_variances_of_groups(solution):
