@@ -19,10 +19,9 @@ __all__ = [
 FLAT = 1e3
 #: Prior: standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
-#: Prior: and about its limit, beyond it.
+#: Prior: and about its limit, beyond it, as that of the period.
 _EXCESS = 0.1
-#: Tolerance: twice as many cadences are averaged before the search: what is slow and how strong
-#: each group is shows in the means.
+#: Tolerance: twice as many cadences are averaged before the search.
 _ENOUGH = 1500
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
@@ -33,10 +32,10 @@ _NOTHING, _SMALLEST = -30.0, 1e-2
 _STEPS = 60
 #: Tolerance: largest number of rounds; they end when one improves the logarithm by less.
 _ROUNDS, TOLERANCE = 5, 0.05
-#: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
-#: period a straight line would cost little, and the star's would undo that of a slow drift.
+#: Prior: least period in days, and that above which longer ones must be more likely. What is faster
+#: than a transit is no trend; what is as slow as a drift would undo it.
 _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
-#: Tolerance: a random walk is pulled back within so many days, which no file of one pointing lasts.
+#: Tolerance: a random walk is pulled back within so many days, longer than files.
 FORGOTTEN = 100.0
 _value = attrgetter("value")
 
@@ -82,14 +81,15 @@ class Data:
         square = np.mean(self.columns[:, : len(self.groups)] ** 2, axis=0)
         return np.bincount(self.groups, square, minlength=self.n_groups)
 
-    def improbability(self, noise_scale, variances):
+    def improbability(self, noise_scale, variances, period):
         """Return minus the logarithm of the hyperprior, and slopes by those of its arguments."""
         error = self.noise_errors[int(noise_scale > 1)]
-        noise = np.log(noise_scale) / error
+        noise, longer = np.log(noise_scale) / error, max(np.log(period / SLOWEST), 0.0) / _EXCESS
         ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
         excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
-        slopes = np.append(noise / error, ratio / _SPREAD + excess / _EXCESS)
-        return 0.5 * (noise**2 + ratio @ ratio + excess @ excess), slopes
+        slopes = [noise / error, *ratio / _SPREAD + excess / _EXCESS, longer / _EXCESS]
+        parts = np.array([noise, longer, *ratio, *excess])
+        return 0.5 * parts @ parts, np.array(slopes)
 
     def averaged(self, width):
         """Return the means of so many cadences each, one after the other."""
@@ -122,6 +122,10 @@ class Hyperparameters:
         """Return the covariance of everything but the columns."""
         noise = self.noise_scale * data.variance + data.doubt
         return Covariance(data.time, noise, self.amplitude, self.period, self.walk)
+
+    def improbability(self, data):
+        """Return minus the logarithm of the hyperprior."""
+        return data.improbability(self.noise_scale, self.variances, self.period)[0]
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""
@@ -238,8 +242,7 @@ class _Trial:
         except np.linalg.LinAlgError:
             return -np.inf
         value = posterior.quadratic + posterior.log_determinant + self.log_determinant
-        hyper = self.hyper
-        return -0.5 * value - self.data.improbability(hyper.noise_scale, hyper.variances)[0]
+        return -0.5 * value - self.hyper.improbability(self.data)
 
 
 def _fit_scales(trial):
@@ -260,9 +263,10 @@ def _fit_scales(trial):
         used = 1 - posterior.shrinkage
         by_group = (used - posterior.mean**2 / prior)[: len(data.groups)]
         slope = 0.5 * np.bincount(data.groups, by_group, minlength=data.n_groups)
-        unlikely, rise = data.improbability(hyper.noise_scale * scale, np.exp(theta[1:]))
+        noise = hyper.noise_scale * scale
+        unlikely, rise = data.improbability(noise, np.exp(theta[1:]), hyper.period)
         slope = np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
-        return value + unlikely, slope + rise
+        return value + unlikely, slope + rise[:-1]
 
     unit = np.log(data.spread / data.sizes)
     least = -np.log(FLAT * hyper.noise_scale)
@@ -310,12 +314,12 @@ def _fit_process(trial):
             value, slope = log_likelihood(data, tried)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
-        unlikely, rise = whole.improbability(scale, hyper.variances * variance)
-        slope[:2] -= rise[0], rise[1:].sum()
+        unlikely, rise = whole.improbability(scale, hyper.variances * variance, process[1])
+        slope[[0, 1, 3]] -= rise[0], rise[1:-1].sum(), rise[-1]
         return unlikely - value, -slope[: len(theta)]
 
     size = tuple(np.log([np.median(data.variance) / FLAT, FLAT * data.spread]))
-    period = tuple(np.log([_SHORTEST_PERIOD, SLOWEST]))
+    period = np.log(_SHORTEST_PERIOD), np.inf
     bounds = [(-np.log(FLAT), np.inf), (-np.inf, np.inf), size, period, size]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period, hyper.walk]
     n = len(start) if hyper.walk else len(start) - 1
@@ -328,10 +332,9 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     """Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters, and
-    the process' with the columns compressed, by turns; of many cadences, first for means. Without a
-    ``start`` there are two, for a slow change may be variability or systematics: columns or slow
-    process are as large as the data, the other ones as small as the noise. Without ``trend`` there
-    is no process.
+    the process' with the columns compressed, by turns. Without a ``start`` there are two, for a
+    slow change may be variability or systematics: columns or slow process are as large as the
+    data, the other ones as small as the noise.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
@@ -341,8 +344,9 @@ def fit_hyperparameters(data, start=None, *, trend=True):
         best = _Trial.at(data, start)
     else:
         sizes = float(np.median(data.variance)), data.spread
+        period = np.sqrt(_SHORTEST_PERIOD * SLOWEST)
         pairs = (sizes, sizes[::-1]) if trend else ((0.0, data.spread),)
-        starts = (Hyperparameters(1.0, part / data.sizes, size, SLOWEST) for size, part in pairs)
+        starts = (Hyperparameters(1.0, part / data.sizes, size, period) for size, part in pairs)
         best = max((_fit_scales(_Trial.at(data, start)) for start in starts), key=_value)
     for k in range(_ROUNDS):
         value = best.value

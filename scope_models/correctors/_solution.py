@@ -279,7 +279,7 @@ class Solution:
     def variance_left(self, *, trend):
         """Variance of the data without systematics, and without the ``trend`` if that is true.
 
-        The model follows some of the noise, which is taken off with it.
+        The model follows some of the noise.
         """
         if trend:
             whole = self._with_weights(np.ones_like(self.use))
@@ -439,13 +439,12 @@ def _without_outliers(solution, make_regressors, options):
 
 
 def _evidence(solution, allowed):
-    """Log-likelihood with the outliers, which may be anywhere in the range of the data.
+    """Log-likelihood and hyperprior, with outliers anywhere in the range of the data.
 
     Noise beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
     """
-    n_outliers = allowed.sum() - solution.use.sum()
-    value = solution.log_likelihood - solution.improbability
-    value -= n_outliers * np.log(np.ptp(solution.y[allowed]))
+    data, n_outliers = solution.data, allowed.sum() - solution.use.sum()
     if solution.predicted:
-        value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
-    return value
+        data = replace(data, noise_errors=(_NOISE_ERROR, _NOISE_ERROR))
+    unlikely = solution.improbability + solution.hyper.improbability(data)
+    return solution.log_likelihood - unlikely - n_outliers * np.log(np.ptp(solution.y[allowed]))

@@ -880,7 +880,8 @@ def real(shared_data, name):
         pytest.param(
             "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "predicted", 1131, marks=pytest.mark.slow
         ),
-        ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "measured", 1150),
+        # 1141 or 1171 by which of two fits is found that are equally likely
+        ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "measured", 1200),
     ],
 )
 def test_k2_stars(shared_data, name, fractions, largest):

@@ -86,6 +86,30 @@ def test_log_likelihood_gradient(data, hyper):
         assert found == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
 
 
+def test_slopes_of_the_hyperprior(data):
+    """Of parameters beyond their limits, and on both sides of what is expected."""
+    data = replace(data, expected=np.array([1.0, np.nan]), most=2.0, noise_errors=(0.16, 0.3))
+    for hyper in (
+        Hyperparameters(0.8, np.array([3.0, 0.5]), 0.7, 11.0),
+        Hyperparameters(1.3, np.array([0.2, 2.5]), 0.7, 2.5),
+    ):
+        found = data.improbability(hyper.noise_scale, hyper.variances, hyper.period)[1]
+        assert (found[-1] > 0) == (hyper.period > 5)
+        for slope, k in zip(found, (0, 1, 2, 4), strict=True):
+            up, down = (shifted(hyper, k, h).improbability(data) for h in (1e-5, -1e-5))
+            assert slope == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-6)
+
+
+def test_a_slow_process_may_have_long_periods():
+    """Twelve days are beyond the prior's limit, which strong variability outweighs."""
+    found = []
+    for amplitude in (1e-2, 1e8):
+        truth = Hyperparameters(1.0, np.full(2, 0.1), amplitude, 12.0)
+        found.append(fit_hyperparameters(draw(1500, np.random.default_rng(2), truth)).period)
+    assert found[0] < 6
+    assert 7 < found[1] < 13
+
+
 def draw(n, rng, hyper):
     """Draw data from the model itself."""
     time = 0.02 * np.arange(n)
