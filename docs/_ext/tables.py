@@ -18,7 +18,7 @@ COLUMNS = {
     "depth_kept": "depth",
 }
 BEFORE = {"corrected": "full", "high-passed": "high_passed", "pull": "pull"}
-RECORD, FIRST = "record_ee29c0a.ecsv", "record_19e5c3d.ecsv"
+RECORD, FIRST = "record_3cddfdb.ecsv", "record_19e5c3d.ecsv"
 # Columns of stored tables that pages show, with their titles.
 SHOWN = {
     "fits_scenes": None,
