@@ -65,3 +65,13 @@ def test_brightness_widths_and_positions_of_all_cadences(found):
         assert np.std(states[:, k] - true) < 1.5e-3  # that of what was expected is 7e-3
     assert np.corrcoef(states[:, 3], WIDER)[0, 1] > 0.95
     assert np.std(states[:, 3] - WIDER) < 1e-3
+
+
+def test_a_narrow_prf_has_no_change_far_from_the_star():
+    """Integrals of its wings are rounding errors, which may be negative."""
+    prf = PRF(BivariateGaussianPSF(1, 0, 0, 0.1, 0.3, -0.5), flux=1, x_0=0, y_0=0)
+    assert prf.unit_images((1, 1), 1.0, 2.0) < 0
+    crowd = Crowd.first(prf, SHAPE, np.array([1.0]), AWAY[None])
+    sizes = crowd.sizes()[: crowd.change.size]
+    assert (sizes >= 0).all()
+    assert sizes.max() > 1e-3
