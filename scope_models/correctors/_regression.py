@@ -255,10 +255,7 @@ def _fit_scales(trial):
     def objective(theta):
         scale = np.exp(theta[0])
         prior = replace(hyper, variances=np.exp(theta[1:])).prior(data)
-        try:
-            posterior = Posterior(trial.gram / scale, prior)
-        except np.linalg.LinAlgError:
-            return np.inf, np.zeros_like(theta)
+        posterior = Posterior(trial.gram / scale, prior)
         value = 0.5 * (posterior.quadratic + posterior.log_determinant + n * theta[0])
         used = 1 - posterior.shrinkage
         by_group = (used - posterior.mean**2 / prior)[: len(data.groups)]
@@ -284,7 +281,16 @@ def _minimize(objective, start, bounds, n):
     """
     start = np.log(np.clip(start, *np.exp(np.transpose(bounds))))
     options = {"maxiter": _STEPS, "ftol": _PRECISION / n}
-    result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+
+    def tried(theta):
+        try:
+            with np.errstate(all="ignore"):  # a step without a bound may overflow
+                value, slope = objective(theta)
+        except np.linalg.LinAlgError:
+            value = np.inf
+        return (value, slope) if np.isfinite(value) else (np.inf, np.zeros_like(theta))
+
+    result = minimize(tried, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return [float(value) for value in np.exp(result.x)]
 
 
@@ -310,10 +316,7 @@ def _fit_process(trial):
     def objective(theta):
         scale, variance, *process = np.exp(theta)
         tried = Hyperparameters(scale, np.array([variance]), *process)
-        try:
-            value, slope = log_likelihood(data, tried)
-        except np.linalg.LinAlgError:
-            return np.inf, np.zeros_like(theta)
+        value, slope = log_likelihood(data, tried)
         unlikely, rise = whole.improbability(scale, hyper.variances * variance, process[1])
         slope[[0, 1, 3]] -= rise[0], rise[1:-1].sum(), rise[-1]
         return unlikely - value, -slope[: len(theta)]
@@ -375,11 +378,14 @@ class Covariance:
         self._a = variance + amplitude + self.walk
         self._u, self._v = self._generators(time)
         self._c = np.array([self.rate, self.rate, 1 / FORGOTTEN])
-        self._d, self._w, self._state = backprop.factor_fwd(
-            time, self._c, self._a, self._u, self._v,
-            np.empty_like(self._a), np.empty_like(self._v), np.empty((len(time), 3, 3)),
-        )  # fmt: skip
-        if not (np.isfinite(self._d).all() and (self._d > 0).all()):
+        try:
+            self._d, self._w, self._state = backprop.factor_fwd(
+                time, self._c, self._a, self._u, self._v,
+                np.empty_like(self._a), np.empty_like(self._v), np.empty((len(time), 3, 3)),
+            )  # fmt: skip
+        except backprop.LinAlgError:
+            self._d = np.array([np.nan])
+        if not np.isfinite(self._d).all():
             raise np.linalg.LinAlgError("the covariance is not positive definite")
         self.log_determinant = float(np.sum(np.log(self._d)))
 
