@@ -145,7 +145,7 @@ class _Waves:
             weak = gain < _SIGNIFICANT
             if count == waves.count and not weak.any():
                 break
-            # those that share a peak are weak each, but not together: half of them go at once
+            # those that share a peak are weak alone: half of them go at once
             limit = np.median(gain[weak]) if weak.any() else 0.0
             others = np.array(waves.others)[~(weak & (gain <= limit))]
             waves = _Waves(tuple(others), waves.base, count)
@@ -242,7 +242,7 @@ def find_waves(solution, allowed):
 def _fitter(solution, trial):
     """Return the function from waves to their fits with the variances and cadences of a trial."""
     plain = replace(solution, hyper=trial.hyper)
-    # two are kept, which is what a step compares: a fit of many waves takes 100 MB
+    # a step compares two; a fit of many waves takes 100 MB
     return lru_cache(maxsize=2)(partial(plain.with_waves, use=trial.use))
 
 

@@ -34,7 +34,6 @@ _NOISE_ERROR = 0.16
 #: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
 #: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
 #: light at the aperture's edge; what each pixel shows beyond them counts in a weighted sum, or not.
-#: The data may change each by a factor of a few.
 _EXPECTED = {
     "order 1": 0.012,
     "order 2": 0.02,

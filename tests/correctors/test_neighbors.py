@@ -471,3 +471,12 @@ def test_a_star_off_the_stamp_may_have_no_light():
     assert not light.any()
     assert places.tolist() == [[2.6, -2.6]]
     assert np.isfinite(misfit).all()
+
+
+def test_stars_that_move_stay_at_the_stamp():
+    rows, columns = np.indices((9, 5))
+    image = np.exp(-0.5 * ((columns - 2.2) ** 2 + (rows - 4) ** 2))
+    image += 0.3 * np.exp(-0.5 * ((columns + 1.5) ** 2 + (rows - 4) ** 2))
+    _, places, _ = _light._fit(image, [[2.0, 4.0], [-2.5, 4.0]])
+    assert (places[1] >= -1).all()
+    assert places[0] == pytest.approx([2.2, 4.0], abs=0.1)

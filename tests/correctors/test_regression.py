@@ -302,3 +302,20 @@ def test_search_from_a_strong_process_finds_nothing_better():
     start = Hyperparameters(1.0, data.spread / data.sizes, data.spread, 5.0)
     strong = log_likelihood(data, fit_hyperparameters(data, start))
     assert log_likelihood(data, fit_hyperparameters(data)) > strong - 0.1
+
+
+def test_steps_without_a_bound_may_overflow():
+    """Where the likelihood rises forever, the search ends before numbers do, without a warning."""
+
+    def objective(theta):
+        return -np.log(np.exp(theta)).sum(), np.full_like(theta, -1.0)
+
+    found = _regression._minimize(objective, [1.0, 2.0], [(-5.0, np.inf), (-np.inf, 3.0)], 1e9)
+    assert np.isfinite(found).all()
+    assert found[1] == pytest.approx(np.exp(3))
+
+
+def test_a_covariance_that_is_none_is_an_error_of_numpy():
+    for variance in (-np.ones(3), np.full(3, np.nan)):
+        with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+            _regression.Covariance(np.arange(3.0), variance, 0.1, 5.0)

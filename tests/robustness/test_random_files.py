@@ -11,9 +11,9 @@ from scope_models import PLDCorrector, Star, fit_tpf
 from scope_models.cli import main
 from scope_models.simulation import inject
 
-#: These large files are quick: neighbors of negative light, corrections that overflow, and a
-#: survival that is not precise.
-QUICK = (91, 231, 259)
+#: These large files are quick: neighbors of negative light, corrections and steps of a search that
+#: overflow, and a survival that is not precise.
+QUICK = (91, 231, 241, 259)
 
 
 def files(small, large):
