@@ -284,7 +284,7 @@ def _minimize(objective, start, bounds, n):
 
     def tried(theta):
         try:
-            with np.errstate(all="ignore"):  # a step without a bound may overflow
+            with np.errstate(all="ignore"):  # steps may overflow
                 value, slope = objective(theta)
         except np.linalg.LinAlgError:
             value = np.inf
@@ -334,10 +334,9 @@ def _fit_process(trial):
 def fit_hyperparameters(data, start=None, *, trend=True):
     """Maximize the marginal likelihood.
 
-    The columns' parameters are improved at fixed process, where only a small matrix enters, and
-    the process' with the columns compressed, by turns. Without a ``start`` there are two, for a
-    slow change may be variability or systematics: columns or slow process are as large as the
-    data, the other ones as small as the noise.
+    The columns' parameters are improved at fixed process, and the process' with the columns
+    compressed, by turns. Without a ``start`` there are two, for a slow change may be variability or
+    systematics: columns or slow process are as large as the data, the others as small as the noise.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:

@@ -253,7 +253,7 @@ def _rest(stamp, states, images):
 def _fit_states(stamp, states, shape, images, functions):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
-    The focus has a smooth course, and all else is the most likely at this. Return the states, and
+    The focus has a smooth course. Return the states, and
     the errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what
     is less changes no light).
     """
@@ -421,10 +421,7 @@ def _without_other_causes(stamp, focus, error, position, variable, states):
 
 
 def _kept(stamp, states, images, focus):
-    """Return the light that the aperture would hold at constant focus, over what it holds.
-
-    A wider PSF moves light to the pixels outside, and out of the stamp.
-    """
+    """Return the light that the aperture would hold at constant focus, over what it holds."""
     outside = ~stamp.aperture
     lost = focus * stamp.flow.lost(images.still, stamp.center + states.position)
     whole = np.maximum(1 + images.still @ outside, LEAST_LIGHT)
