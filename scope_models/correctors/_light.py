@@ -333,7 +333,8 @@ def _fit(image, places, *, move=True):
             slopes = np.concatenate(np.array(slopes) * flux[:, None, None] / (2 * h))
             step = solved(np.concatenate([slopes, light]), rest, [PLACE**-2] * len(slopes))
             step = np.clip(step[: len(slopes)].reshape(2, -1).T, -PLACE, PLACE)
-            places = np.clip(places + step, -1, image.shape[::-1])
+            places += step
+            places[0] = np.clip(places[0], -1, image.shape[::-1])
             change = max(change, np.abs(step).max())
         if len(places) == 1 or change < POSITION_PRIOR:
             break
