@@ -304,7 +304,7 @@ def _fit(image, places, *, move=True):
     near = np.argmin([np.hypot(columns - x, rows - y) for x, y in places], axis=0) == 0
     total = image[near].sum()
     if not total > 0:
-        raise NoLightError("the pixels of `tpf` hold no light near the target")
+        raise NoLightError("the pixels of `tpf` hold no light of the target")
     own = np.where(near, image, 0.0)
     error = SHARE_ERROR * np.abs(image) + IMAGE_ERROR * total
 
@@ -334,6 +334,7 @@ def _fit(image, places, *, move=True):
             step = solved(np.concatenate([slopes, light]), rest, [PLACE**-2] * len(slopes))
             step = np.clip(step[: len(slopes)].reshape(2, -1).T, -PLACE, PLACE)
             places += step
+            # its pixels show the profile
             places[0] = np.clip(places[0], -1, image.shape[::-1])
             change = max(change, np.abs(step).max())
         if len(places) == 1 or change < POSITION_PRIOR:

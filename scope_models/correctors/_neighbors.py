@@ -372,6 +372,7 @@ class Crowd:
     def sizes(self):
         """Return prior standard deviations of the parameters but the gains."""
         x, y = np.meshgrid(_CENTERS / _BROAD, _CENTERS / _BROAD)
+        # rounding may be negative
         size = SHARE_ERROR * np.abs(self.prf.unit_images((1, 1), -x.ravel(), -y.ravel()).ravel())
         size *= np.diff(_CENTERS)[0] / (_SIGMA * np.sqrt(np.pi))  # squares of many add up
         return np.concatenate([size, _FLUX * self.fluxes, np.full(self.away.size, PLACE)])

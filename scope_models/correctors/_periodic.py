@@ -79,7 +79,7 @@ class _Waves:
         return (len(self.others) + (self.count > 0)) * np.log(n / 2)
 
     def settled(self, fit):
-        """Return it after steps of Gauss and Newton, shorter ones where these lead nowhere."""
+        """Return it after steps of Gauss and Newton, shorter ones where needed."""
         waves, size = self, _SHIFT
         for _ in range(ROUNDS):
             moved, steps = waves._shifted(fit(waves), size)

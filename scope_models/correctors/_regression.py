@@ -154,7 +154,7 @@ class Posterior:
         # The matrix is symmetric: its transpose is in the order that LAPACK takes.
         lower, failed = dpotrf(m.T, lower=1, clean=1, overwrite_a=1)
         if failed:
-            raise np.linalg.LinAlgError("the columns' covariance is not positive definite")
+            raise np.linalg.LinAlgError("the covariance is not positive definite")
         self._gram, self._root, self._lower = gram, root, lower
         self._projected = dtrtrs(lower, root * gram[:-1, -1], lower=1)[0]
         self.log_determinant = 2 * np.sum(np.log(np.diag(lower)))
@@ -284,7 +284,7 @@ def _minimize(objective, start, bounds, n):
 
     def tried(theta):
         try:
-            with np.errstate(all="ignore"):  # steps may overflow
+            with np.errstate(all="ignore"):  # of overflows
                 value, slope = objective(theta)
         except np.linalg.LinAlgError:
             value = np.inf
@@ -315,8 +315,7 @@ def _fit_process(trial):
 
     def objective(theta):
         scale, variance, *process = np.exp(theta)
-        tried = Hyperparameters(scale, np.array([variance]), *process)
-        value, slope = log_likelihood(data, tried)
+        value, slope = log_likelihood(data, Hyperparameters(scale, variance[None], *process))
         unlikely, rise = whole.improbability(scale, hyper.variances * variance, process[1])
         slope[[0, 1, 3]] -= rise[0], rise[1:-1].sum(), rise[-1]
         return unlikely - value, -slope[: len(theta)]

@@ -253,9 +253,8 @@ def _rest(stamp, states, images):
 def _fit_states(stamp, states, shape, images, functions):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
-    The focus has a smooth course. Return the states, and
-    the errors of brightness, positions and focus (of its course, at least of a mean of 6.5 h: what
-    is less changes no light).
+    The focus has a smooth course. Return the states, and the errors of brightness, positions and
+    focus (of its course, at least of a mean of 6.5 h: what is less changes no light).
     """
     late = "width" in shape.changes
     rest, use = _rest(stamp, states, images), stamp.use
