@@ -36,7 +36,7 @@ _PRIMARY, _IMAGE, _TABLE = (
 )
 #: Bits of the pixels that are collected, and of those in the optimal aperture.
 COLLECTED, OPTIMAL = 1, 2
-_LAYOUTS = Path(__file__).with_name("layouts")
+_LAYOUTS = Path(__file__).with_name("layouts.hdr")
 # Keywords on coordinates of an image and, without their numbers, of a column.
 _WCS = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
 _PHYSICAL = ("CTYPE", "CUNIT", "CRVAL", "CDELT", "CRPIX")
@@ -223,12 +223,17 @@ def make_headers(metadata, values, aperture, simdata):
 
 @cache
 def _template(name):
-    """Return keyword, text and comment of the cards of each header of a layout."""
-    headers = [[]]
-    for card in fits.Header.fromtextfile(_LAYOUTS / f"{name}.hdr").cards:
-        if card.keyword == "XTENSION":
+    """Return keyword, text and comment of the cards of each header of a layout.
+
+    Comments in the file name the layouts that have the next cards.
+    """
+    headers, those = [[]], ()
+    for card in fits.Header.fromtextfile(_LAYOUTS).cards:
+        if card.keyword == "COMMENT":
+            those = card.value.split()
+        elif name in those and card.keyword == "XTENSION":
             headers.append([])
-        else:
+        elif name in those:
             headers[-1].append((card.keyword, str(card), card.comment))
     return headers
 
