@@ -17,7 +17,7 @@ from pathlib import Path
 KINDS = ("prior", "tolerance", "warning", "branch")
 COLUMNS = ("module", "name", "value", "kind", "reason")
 PACKAGE = Path(__file__).parents[1] / "scope_models"
-FOLDERS = PACKAGE / "correctors", PACKAGE / "pixelmodel"
+FOLDERS = [PACKAGE / name for name in ("correctors", "pixelmodel", "regression")]
 
 
 def constants(*folders):

@@ -7,7 +7,6 @@ from os import PathLike
 
 import numpy as np
 from astropy import units as u
-from scipy.linalg import helmert, solve_triangular
 
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import check_fields, checked_choice, integer, number
@@ -15,10 +14,9 @@ from scope_models._values import Value, frozen
 from scope_models.correctors._light import Source, transit_column
 from scope_models.correctors._pixels import Pixels, aperture_pixels, at_rows, typical_image
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
-from scope_models.pixelmodel._smooth import MOST, Smoother, pivoted_cholesky, quantile
+from scope_models.pixelmodel._smooth import MOST, Smoother, quantile
 from scope_models.pixelmodel._stamp import (
     find_row_centers,
     full_columns,
@@ -26,6 +24,14 @@ from scope_models.pixelmodel._stamp import (
     without_saturation,
 )
 from scope_models.pixelmodel._star import IMAGE_ERROR, LEAST_LIGHT, StarModel, fit_star
+from scope_models.regression._columns import (
+    Regressors,
+    contrast_columns,
+    fraction_columns,
+    least_square,
+    principal_columns,
+)
+from scope_models.regression._solution import fit
 
 __all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict"]
 
@@ -34,15 +40,8 @@ _FEWEST_CADENCES = 30
 _FRACTIONS = ("predicted", "measured")
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
-#: Tolerance: columns are dropped when coefficients of one could not change chi-squared by this, or
-#: those of 30, which real stars have, by about one; and their largest number.
-_TOLERANCE, _MAX_RANK = 1e-3, 300
-#: Prior: products with pixels so far apart have common coefficients (px); number of components of
-#: files of other stars.
-_REACH = 2
+#: Prior: number of components of files of other stars.
 _OTHER_COMPONENTS = 10
-#: Tolerance: largest number of cadences of which the pivots of a factor are chosen.
-_CANDIDATES = 4000
 #: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
 #: background.
 _STATES = 5
@@ -163,23 +162,6 @@ def _checked_saturation(saturation):
     return value
 
 
-@dataclass(frozen=True)
-class Regressors:
-    """Columns that share a prior variance within each named group."""
-
-    columns: np.ndarray  # (n_cadences, n_columns)
-    groups: np.ndarray  # group of each column, an index into ``names``
-    names: tuple
-
-    @classmethod
-    def join(cls, parts):
-        """Join groups, from names to columns ``(n_cadences, m)``, without the empty ones."""
-        sizes = np.array([columns.shape[1] for columns in parts.values()])
-        names = tuple(name for name, size in zip(parts, sizes, strict=True) if size)
-        groups = np.repeat(np.arange(len(names)), sizes[sizes > 0])
-        return cls(np.concatenate(list(parts.values()), axis=1), groups, names)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class PLDModel:
     r"""The linear model of the logarithm of a star's flux.
@@ -240,21 +222,14 @@ class PLDModel:
             centers = find_row_centers(images, mask, use, self.saturation)
             images = without_saturation(images, full, centers, mask)
         images /= total[:, None, None]
-        fractions = images[:, mask]
-        noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
-        least = _TOLERANCE * noise / use.sum()
-        first = principal_columns(fractions, use, least)[:, :most]
-        parts = {"order 1": first}
-        for n in range(2, options.order + 1):
-            groups = {f"order {n}": power_columns(fractions, n, use, least, _MAX_RANK)}
-            if n == 2:
-                groups["shared"] = shared_columns(images, _REACH)
-                if self.clean is not None:  # responses within pixels have much in common
-                    groups = {"order 2": np.concatenate([*groups.values()], axis=1)}
-            for name, products in groups.items():
-                parts[name] = principal_columns(products, use, least)[:, :most]
+        least = least_square((pixels.total_err[usable] / total)[use] ** 2)
+        parts = fraction_columns(
+            images, mask, options.order, use, least, most=most, predicted=self.clean is not None
+        )
         if self.breaks:
-            parts["segments"] = contrast_columns(first, pixels.time[usable], self.breaks, use)
+            parts["segments"] = contrast_columns(
+                parts["order 1"], pixels.time[usable], self.breaks, use
+            )
         for name, columns in self.extra.items():
             parts[name] = principal_columns(columns[usable], use, least)
         return Regressors.join(parts)
@@ -520,74 +495,3 @@ def level_column(pixels, use):
         inside = np.broadcast_to(pixels.inside, pixels.flux.shape)[usable].sum(axis=(1, 2))
         column[usable, 0] = level * inside / pixels.total[usable]
     return column
-
-
-def principal_columns(columns, use, tolerance):
-    """Rotate columns to principal components, and drop those that are too small to matter.
-
-    The rotation is orthogonal: a common prior variance means the same before and after. The
-    cadences in ``use`` define means and components; those whose mean square is below ``tolerance``
-    go. A gap is filled with the mean.
-    """
-    known = np.isfinite(columns).all(axis=1)
-    use = use & known
-    if not use.any():
-        return np.empty((len(columns), 0))
-    columns = np.where(known[:, None], columns - columns[use].mean(axis=0), 0.0)
-    values, vectors = np.linalg.eigh(columns[use].T @ columns[use] / use.sum())
-    keep = values > max(tolerance, 1e-14 * values[-1])
-    return columns @ vectors[:, keep][:, ::-1]
-
-
-def power_columns(fractions, order, use, tolerance, max_rank):
-    r"""Return all products of ``order`` fractions ``(n_cadences, n_pixels)``, as few columns.
-
-    The products, each weighted with the square root of its number of orderings, span the kernel
-    :math:`(p_i \cdot p_j)^n`. A pivoted Cholesky factor of that kernel gives the same regression
-    without forming them. Cadences in ``use`` may become pivots. The factor ends at ``max_rank``
-    columns, or when the mean of what is left of the kernel's diagonal is below ``tolerance``.
-    """
-    points = fractions[use]
-    points = points[:: -(-len(points) // _CANDIDATES)]
-    diagonal = np.einsum("ij,ij->i", points, points) ** order
-    precision = len(points) * np.finfo(float).eps * diagonal.max()
-
-    def ends(rest):
-        return rest.mean() < tolerance or rest.max() <= precision
-
-    def column(k):
-        return (points @ points[k]) ** order
-
-    pivots, rows = pivoted_cholesky(diagonal, column, ends, min(max_rank, len(points)))
-    kernel = (points[pivots] @ fractions.T) ** order
-    factor = rows[:, pivots].T
-    return solve_triangular(factor, kernel, lower=True, overwrite_b=True, check_finite=False).T
-
-
-def shared_columns(images, reach):
-    r"""Return products of two fractions, summed over all pixels.
-
-    When all pixels have the same intra-pixel response, products with the same offset have the same
-    coefficient: only the sums :math:`\sum_l p_l p_{l+d}` count, for all offsets :math:`d` up to
-    ``reach`` pixels along either axis. The ``images`` are zero outside of the aperture.
-    """
-    ny, nx = images.shape[1:]
-    padded = np.pad(images, ((0, 0), (0, reach), (reach, reach)))
-    columns = []
-    for dy in range(reach + 1):
-        for dx in range(-reach if dy else 0, reach + 1):
-            shifted = padded[:, dy : dy + ny, reach + dx : reach + dx + nx]
-            columns.append(np.einsum("ijk,ijk->i", images, shifted))
-    return np.stack(columns, axis=1)
-
-
-def contrast_columns(columns, time, breaks, use):
-    """Return copies of the columns that differ between the segments and are the same in none.
-
-    Of k segments, k - 1 orthonormal contrasts remain.
-    """
-    segment = np.searchsorted(np.asarray(breaks), time, side="right")
-    present = np.unique(segment[use])
-    member = (segment[:, None] == present).astype(float)
-    contrasts = member @ helmert(len(present)).T
-    return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)

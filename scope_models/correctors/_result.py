@@ -22,10 +22,10 @@ from scope_models.correctors._light import (
     transit_column,
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION, OTHER_STAR, at_rows
-from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._smooth import TRANSIT
 from scope_models.pixelmodel._star import MISFIT, SMALL_STEP
+from scope_models.regression._solution import Solution
 
 __all__ = ["PLDFit"]
 

@@ -24,9 +24,9 @@ from scope_models.correctors._pixels import (
     warn_of_pipeline,
 )
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
+from scope_models.regression._solution import NothingToCorrectError
 from scope_models.scene.motion import Motion
 
 __all__ = ["PLDCorrector"]

@@ -7,8 +7,9 @@ import pytest
 
 from scope_models._threads import one_thread
 from scope_models.benchmark import REGIMES, make_sky
-from scope_models.correctors import PLDCorrector, _periodic, _regression
-from scope_models.correctors._regression import Data
+from scope_models.correctors import PLDCorrector
+from scope_models.regression import _periodic, _variances
+from scope_models.regression._variances import Data
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -74,7 +75,7 @@ def test_a_change_beside_a_gap_has_its_cadences(monkeypatch):
 @pytest.mark.parametrize(("seed", "depth"), [(6102, 0.05), (6103, 0.01), (6104, 0.01)])
 def test_long_transits_do_not_depend_on_the_search(seed, depth, precision, monkeypatch):
     """In short files they may be outliers, or short changes, of which one is far likelier."""
-    monkeypatch.setattr(_regression, "_PRECISION", precision)
+    monkeypatch.setattr(_variances, "_PRECISION", precision)
     sky = make_sky(REGIMES["k2-1x-transits-neighbor"].replace(depth=depth), seed, n_cadences=400)
     lc = PLDCorrector(sky.to_tpf()).correct()
     flux, rows = lc.flux.value, np.searchsorted(sky.cadenceno, lc["cadenceno"])

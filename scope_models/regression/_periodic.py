@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 from scipy.signal import find_peaks
 from scipy.stats import t as student_t
 
-from scope_models.correctors._regression import SLOWEST, TOLERANCE, Hyperparameters, Posterior
 from scope_models.pixelmodel._smooth import ROUNDS
 from scope_models.pixelmodel._star import SMALL_STEP
+from scope_models.regression._variances import SLOWEST, TOLERANCE, Hyperparameters, Posterior
 
 __all__ = ["FAST", "find_rotation", "find_waves", "short_changes", "with_edges"]
 

@@ -2,27 +2,28 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from scope_models.correctors._periodic import (
+from scope_models.pixelmodel._smooth import NO_WEIGHT
+from scope_models.regression._periodic import (
     FAST,
     find_rotation,
     find_waves,
     short_changes,
     with_edges,
 )
-from scope_models.correctors._regression import (
+from scope_models.regression._variances import (
     FLAT,
     Data,
     Hyperparameters,
     Posterior,
     fit_hyperparameters,
 )
-from scope_models.pixelmodel._smooth import NO_WEIGHT
 
-__all__ = ["NothingToCorrectError", "Solution", "fit"]
+__all__ = ["NothingToCorrectError", "Options", "Solution", "fit"]
 
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
@@ -53,6 +54,15 @@ _MOST = {"focus": 0.05, "level": 1.0, "misfit": 1.0}
 
 class NothingToCorrectError(ValueError):
     """No regressor varies."""
+
+
+class Options(NamedTuple):
+    """Those of `fit`: kind of trend and its number of columns, outliers."""
+
+    trend: str = "gp"
+    n_trend: int = 1
+    sigma: float = 5.0
+    max_clips: int = 5
 
 
 @dataclass(frozen=True)

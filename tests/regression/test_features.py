@@ -5,17 +5,16 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 import pytest
 
-from scope_models.correctors import _model
-from scope_models.correctors._model import (
-    PLDModel,
+from scope_models.correctors._model import PLDModel, Settings
+from scope_models.correctors._pixels import Pixels
+from scope_models.regression import _columns
+from scope_models.regression._columns import (
     Regressors,
-    Settings,
     contrast_columns,
     power_columns,
     principal_columns,
     shared_columns,
 )
-from scope_models.correctors._pixels import Pixels
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -42,7 +41,7 @@ def test_pivots_of_some_cadences_are_enough(monkeypatch):
     fractions = np.exp(-0.5 * (place[:, None] - np.arange(-2, 3)) ** 2)
     fractions /= fractions.sum(axis=1)[:, None]
     use = np.arange(3000) % 3 > 0
-    monkeypatch.setattr(_model, "_CANDIDATES", 300)
+    monkeypatch.setattr(_columns, "_CANDIDATES", 300)
     columns = power_columns(fractions, 2, use, 1e-12, 80)
     left = np.sum(fractions**2, axis=1) ** 2 - np.sum(columns**2, axis=1)
     assert columns.shape == (3000, len(columns.T))

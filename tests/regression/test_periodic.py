@@ -7,11 +7,11 @@ import pytest
 
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions
-from scope_models.correctors._model import Regressors
-from scope_models.correctors._periodic import _Rotation, _Waves, find_rotation, find_waves
-from scope_models.correctors._regression import Hyperparameters
-from scope_models.correctors._solution import Solution, fit
 from scope_models.exceptions import DetrendingWarning
+from scope_models.regression._columns import Regressors
+from scope_models.regression._periodic import _Rotation, _Waves, find_rotation, find_waves
+from scope_models.regression._solution import Solution, fit
+from scope_models.regression._variances import Hyperparameters
 
 TIME = 0.0204 * np.arange(900)
 TRUE = np.array([1.834, 3.668, 8.21])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._regression import FORGOTTEN, Covariance
+from scope_models.regression._covariance import FORGOTTEN, Covariance
 
 AMPLITUDE, PERIOD, WALK = 2.3, 1.7, 0.4
 

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from scope_models.correctors import _regression
-from scope_models.correctors._model import Regressors, Settings
-from scope_models.correctors._regression import (
+from scope_models.correctors._model import Settings
+from scope_models.regression import _variances
+from scope_models.regression._columns import Regressors
+from scope_models.regression._solution import Solution, fit
+from scope_models.regression._variances import (
     FORGOTTEN,
     Data,
     Hyperparameters,
     fit_hyperparameters,
 )
-from scope_models.correctors._solution import Solution, fit
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -22,7 +23,7 @@ N = 90
 
 
 def log_likelihood(data, hyper):
-    return _regression.log_likelihood(data, hyper)[0]
+    return _variances.log_likelihood(data, hyper)[0]
 
 
 def flat_variance(data):
@@ -79,7 +80,7 @@ def test_log_likelihood(data, hyper):
 
 
 def test_log_likelihood_gradient(data, hyper):
-    _, slope = _regression.log_likelihood(data, hyper)
+    _, slope = _variances.log_likelihood(data, hyper)
     assert len(slope) == 6
     for k, found in enumerate(slope):
         up, down = (log_likelihood(data, shifted(hyper, k, h)) for h in (1e-5, -1e-5))
@@ -155,7 +156,7 @@ def test_means_of_many_cadences_find_the_same(monkeypatch):
     data = Data(time, y - y.mean(), variance, columns, np.zeros(8, dtype=int), 1)
     values = []
     for enough in (10_000, 1500):
-        monkeypatch.setattr(_regression, "_ENOUGH", enough)
+        monkeypatch.setattr(_variances, "_ENOUGH", enough)
         values.append(log_likelihood(data, fit_hyperparameters(data)))
     assert values[1] == pytest.approx(values[0], abs=0.2)
     assert values[1] > log_likelihood(data, truth) - 0.3
@@ -164,8 +165,8 @@ def test_means_of_many_cadences_find_the_same(monkeypatch):
 def test_compression_keeps_the_likelihood(data, monkeypatch):
     hyper = Hyperparameters(1.3, np.array([3.0, 0.2]), 0.7, 2.5)
     z = hyper.process(data).whiten(data.stacked)
-    monkeypatch.setattr(_regression, "_SMALLEST", 1e-12)
-    small = _regression._compressed(z.T @ z, data, hyper)
+    monkeypatch.setattr(_variances, "_SMALLEST", 1e-12)
+    small = _variances._compressed(z.T @ z, data, hyper)
     same = replace(hyper, variances=np.ones(1))
     assert log_likelihood(small, same) == pytest.approx(log_likelihood(data, hyper), rel=1e-12)
 
@@ -174,10 +175,10 @@ def test_compression_keeps_a_column_of_tiny_priors(data):
     """Without a column the gradient would be shorter than its parameters."""
     tiny = Hyperparameters(1.3, np.full(2, 1e-12), 0.7, 2.5)
     z = tiny.process(data).whiten(data.stacked)
-    small = _regression._compressed(z.T @ z, data, tiny)
+    small = _variances._compressed(z.T @ z, data, tiny)
     assert small.groups.tolist() == [0]
     same = replace(tiny, variances=np.ones(1))
-    _, slope = _regression.log_likelihood(small, same)
+    _, slope = _variances.log_likelihood(small, same)
     assert slope.shape == (5,)
 
 
@@ -310,7 +311,7 @@ def test_steps_without_a_bound_may_overflow():
     def objective(theta):
         return -np.log(np.exp(theta)).sum(), np.full_like(theta, -1.0)
 
-    found = _regression._minimize(objective, [1.0, 2.0], [(-5.0, np.inf), (-np.inf, 3.0)], 1e9)
+    found = _variances._minimize(objective, [1.0, 2.0], [(-5.0, np.inf), (-np.inf, 3.0)], 1e9)
     assert np.isfinite(found).all()
     assert found[1] == pytest.approx(np.exp(3))
 
@@ -318,4 +319,4 @@ def test_steps_without_a_bound_may_overflow():
 def test_a_covariance_that_is_none_is_an_error_of_numpy():
     for variance in (-np.ones(3), np.full(3, np.nan)):
         with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-            _regression.Covariance(np.arange(3.0), variance, 0.1, 5.0)
+            _variances.Covariance(np.arange(3.0), variance, 0.1, 5.0)

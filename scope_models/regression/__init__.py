@@ -1,0 +1,3 @@
+"""The regression of the logarithm of a flux: variances from the evidence, variability, outliers."""
+
+__all__ = []
