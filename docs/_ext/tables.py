@@ -23,6 +23,7 @@ RECORD, FIRST = "record_3cddfdb.ecsv", "record_19e5c3d.ecsv"
 SHOWN = {
     "fits_scenes": None,
     "fits_files": None,
+    "fits_fluxes": None,
     "motion_files": None,
     "recovery": None,
     "no_motion": {

@@ -1,7 +1,7 @@
 """Store what the page on fits shows: ``python docs/data/store_fits.py FOLDER``.
 
-FOLDER has the archive files. Written are, beside this file, the default fit of each file, and pulls
-of simulated scenes of one, two and five stars.
+FOLDER has the archive files. Written are, beside this file, the default fit of each file, pulls of
+simulated scenes of one, two and five stars, and fluxes beside those of the corrector.
 """
 
 import sys
@@ -13,12 +13,76 @@ import numpy as np
 from _stamp import stamp
 from astropy.table import Table
 
-from scope_models import fit_tpf
-from scope_models.exceptions import FitWarning
+from scope_models import PLDCorrector, fit_tpf
+from scope_models.benchmark import make_sky
+from scope_models.exceptions import DetrendingWarning, FitWarning
+from scope_models.photometry import cdpp
 
 FOLDER = Path(__file__).parent
 SCENES, STARS = 20, (1, 2, 5)
+SKIES = (
+    "k2-1x-constant", "k2-1x-kp14", "k2-1x-kp17", "k2-3x-constant", "k2-5x-kp15", "k2-1x-spots-5d",
+    "k2-1x-rr-lyrae", "k2-1x-eclipsing", "k2-1x-transits-1pct", "k2-1x-rise-30d",
+    "kepler-constant-kp14", "kepler-spots-10d", "tess-constant", "tess-spots-1.5d",
+)  # fmt: skip
+SEED, CADENCES = 3001, 1500
 GROUPS = {"shared": "PSF and response", "star": "other stars' places", "cadence": "cadences"}
+
+
+def corrected(tpf):
+    """Return the default light curve of the corrector."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DetrendingWarning)
+        return PLDCorrector(tpf).correct()
+
+
+def noise(curve):
+    """Return the CDPP in EVEREST's convention, NaN if that needs more cadences."""
+    try:
+        return float(cdpp(curve, method="everest"))
+    except ValueError:
+        return np.nan
+
+
+def fluxes():
+    """Return a row for each sky: rms of relative fluxes about the truth, all cadences, ppm."""
+    rows = []
+    for name in SKIES:
+        sky = make_sky(name, SEED, n_cadences=CADENCES)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FitWarning)
+            fit = fit_tpf(sky.to_tpf(), response="pixels")
+        used = np.searchsorted(sky.cadenceno, fit.cadenceno)
+        truth = sky.true_flux[used] / np.median(sky.true_flux[used])
+        curve = corrected(sky.to_tpf())
+        own = np.isin(curve.cadenceno.value, fit.cadenceno)
+        light = sky.flux[used][:, sky.aperture].sum(axis=1)
+        rows.append(
+            {
+                "star": name,
+                "sum of the aperture": left(light, truth),
+                "fit": left(fit.flux, truth, ~fit.outliers),
+                "as stated": round(1e6 * float(np.median(fit.flux_scatter / fit.flux))),
+                "corrector": left(np.asarray(curve.flux.value, dtype=float)[own], truth),
+                "amplitude": kept(fit.flux, truth, ~fit.outliers),
+            }
+        )
+        print(rows[-1], flush=True)
+    return Table(rows)
+
+
+def left(flux, truth, good=slice(None)):
+    """Return the rms of a relative flux about the truth, ppm."""
+    relative = (flux / truth)[good]
+    return round(1e6 * float(np.nanstd(relative) / np.nanmedian(relative)))
+
+
+def kept(flux, truth, good):
+    """Return the part of the variability that is in the flux, NaN for constant stars."""
+    if np.ptp(truth) == 0:
+        return np.nan
+    slope, _ = np.polyfit(truth[good], flux[good] / np.median(flux[good]), 1)
+    return round(float(slope), 3)
 
 
 def fits(paths):
@@ -42,6 +106,8 @@ def fits(paths):
                 "held out": round(float(fit.chi2_held_out), 2),
                 "motion x": round(float(x), 2),
                 "motion y": round(float(y), 2),
+                "CDPP (ppm)": round(noise(fit.to_lightcurve()[~fit.outliers]), 1),
+                "corrector": round(noise(corrected(path)), 1),
             }
         )
         print(rows[-1], flush=True)
@@ -76,7 +142,8 @@ def main(folder):
     sys.path.append(str(FOLDER.parents[1] / "studies"))
     folder = Path(folder)
     paths = sorted([*folder.glob("*_tpf/*.fits*"), *folder.glob("kepler_q12_ch4/*.fits*")])
-    for name, table in (("fits_scenes", scenes()), ("fits_files", fits(paths))):
+    made = {"fits_scenes": scenes(), "fits_files": fits(paths), "fits_fluxes": fluxes()}
+    for name, table in made.items():
         stamp(table, "python docs/data/store_fits.py FOLDER")
         table.write(FOLDER / f"{name}.ecsv", overwrite=True)
 

@@ -2,7 +2,8 @@
 
 Shares begin as those of a PSF that is fitted to some of the cadences. Each pixel's deviation is a
 polynomial of the star's fitted position and slow time, with priors whose widths the data give.
-Shares and cadences are fitted in turn, each by linear least squares.
+Shares and cadences are fitted in turn, each by linear least squares. What all pixels have in common
+is the star's flux or the pixels' response: the regression of the star's light tells these apart.
 """
 
 from copy import copy
@@ -18,6 +19,14 @@ from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
+from scope_models.pixelmodel._star import LEAST_LIGHT
+from scope_models.regression._columns import (
+    Regressors,
+    fraction_columns,
+    least_square,
+    principal_columns,
+)
+from scope_models.regression._solution import NothingToCorrectError, Options, fit
 
 __all__ = ["fit_response"]
 
@@ -46,9 +55,8 @@ _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 _MOVE, _SAME, _SMALL, _MOST_STEPS, _FEW_STEPS = 0.1, 3e-4, 0.01, 80, 10
 # Reach of the polynomials beyond percentiles of positions, in parts of their range and pixels.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
-# Errors below which light hardly counts in the sum that is the flux: wide sums of faint stars are
-# noisy, narrow ones of bright stars follow errors of PSF and focus.
-_FAINT = 40.0
+# Products of fractions in the regression of the light.
+_ORDER = 2
 # Motion up to which an image is of first order, pixels; cadences at once.
 _TAYLOR, _CHUNK = 1e-3, 512
 # Residual, in errors, from which the cost grows only linearly.
@@ -64,8 +72,12 @@ class _Image:
     size: np.ndarray  # (p,): typical share
     unit: np.ndarray  # (p,): scale of its change, 0 where there is too little light to learn from
     parts: np.ndarray  # (p,): effect of a common factor
-    share: np.ndarray  # (p,): weights of the sum that stays the PSF's
     values: np.ndarray  # (k, p): coefficients
+
+    @property
+    def common(self):
+        """Relative size of a common factor, in units of the shares' prior."""
+        return np.linalg.norm(self.unit) / self.size.sum()
 
 
 class _Shares:
@@ -81,7 +93,6 @@ class _Shares:
         pad, time = _PAD[0] * (high - low) + _PAD[1], problem.data.time
         last = max(time.max(), time.min() + 1)
         self.ranges = (*zip(low - pad, high + pad, strict=True), (time.min(), last))
-        errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in self.weight.T])
         self.images, self.places = [], np.full((len(center), 2), np.inf)
         stamps = [star.stamp for star in problem.stars]
         self.firsts = [stamps.index(stamp) for stamp in range(len(problem.stamps))]
@@ -89,12 +100,10 @@ class _Shares:
             typical = problem.unit_images(state, slice(None, None, _EVERY), k)
             size = np.maximum(np.median(typical, axis=0), 0.0)
             learns = (size >= _EVERYWHERE) | (k in self.firsts)
-            parts, pixels = size * learns, problem.slices[stamp]
-            faint = errors[pixels] / abs(np.median(problem.fluxes(state, k)))
-            share = parts / (parts + _FAINT * faint)
+            parts = size * learns
             self.images.append(_Image(
-                pixels, np.zeros((3, len(center), size.size)), size, (size + _EVERYWHERE) * learns,
-                parts / (parts @ share), share, np.zeros((1, size.size)),
+                problem.slices[stamp], np.zeros((3, len(center), size.size)), size,
+                (size + _EVERYWHERE) * learns, parts / parts.sum(), np.zeros((1, size.size)),
             ))  # fmt: skip
         self.degrees, self.terms = (0, 0), polynomial_terms(0, 0)
         self.width = np.array([_FIRST_PRIOR])
@@ -200,14 +209,16 @@ class _Shares:
                 scaled = (value**2 + variance) / image.unit[number] ** 2
                 squares += np.bincount(order, scaled, len(squares))
                 counts += np.bincount(order, minlength=len(squares))
-        # A sum of shares is the PSF's, and no change is common to all pixels.
+        self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
+
+    def fix_gauge(self):
+        """Make a sum of shares the PSF's, with no change that is common to all pixels."""
         for image in self.images:
             values, seen = image.values, image.unit > 0
             if self.problem.options.background == "cadence":
                 weight = image.unit[seen] ** -2
                 values[:, seen] -= (values[:, seen] @ weight / np.sum(weight))[:, None]
-            values -= (values @ image.share)[:, None] * image.parts
-        self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
+            values -= values.sum(axis=1)[:, None] * image.parts
 
     def responses(self):
         """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
@@ -267,9 +278,9 @@ class _Shares:
 
     def climb(self, steps, report):
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
-        before = np.inf
+        before, both = np.inf, [self.improve] * 2
         for number in range(1, steps + 1):
-            for step in (self.update, *[self.improve] * 2, self.put_on_path, self.leave_out):
+            for step in (self.update, self.fix_gauge, *both, self.put_on_path, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             report(cost)
@@ -329,13 +340,83 @@ def fit_response(problem, solution, fits, report):
     settled, more = shares.climb(most, report)
     for _ in range(3):
         shares.improve()
-    errors, n_free = _errors(shares)
+    errors, n_free = _errors(shares, *_put_on_light(shares))
     psf = psf_covariance(solution, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
     return [_result(shares, errors, psf, n_free, *pair, **ended) for pair in enumerate(fits)]
 
 
-def _errors(shares):
+def _light(shares, number):
+    """Return a star's light, its relative variance, images of its fractions, and their pixels.
+
+    The light is the sum of pixels, without that of other stars, the model's where pixels are hit:
+    it is free of conventions. Last comes the part of all light that it is.
+    """
+    image, problem = shares.images[number], shares.problem
+    unit = shares.psf()[number][0] + shares.basis()[0] @ image.values
+    seen, rest = (values[:, image.pixels] for values in (shares.weight, shares.residual()))
+    light = problem.fluxes(shares.state, number)[:, None] * unit + np.where(seen > 0, rest, 0.0)
+    inside = image.size >= _EVERYWHERE * image.size.max()
+    total, fractions = light[:, inside].sum(axis=1), unit[:, inside]
+    inner = fractions.sum(axis=1)
+    variance = np.where(seen > 0, seen, np.inf)[:, inside] ** -2.0
+    mask = problem.stamps[problem.stars[number].stamp].pixels.copy()
+    mask[mask] = inside
+    images = np.zeros((len(unit), *mask.shape))
+    images[:, mask] = fractions / inner[:, None]
+    return total, variance.sum(axis=1) / total**2, images, mask, inner / unit.sum(axis=1)
+
+
+def _regressed(shares, number):
+    """Return the logarithm of a star's light and the solution of its regression, or None."""
+    total, variance, images, mask, held = _light(shares, number)
+    use = shares.used & (total > 0) & (shares.problem.fluxes(shares.state, number) > 0)
+    if use.sum() < _FEWEST:
+        return None
+    y, least = np.log(np.where(use, total, np.median(total[use]))), least_square(variance[use])
+
+    def regressors(use):
+        groups = fraction_columns(images, mask, _ORDER, use, least)
+        outside = -np.log(np.maximum(held, LEAST_LIGHT))[:, None]
+        return Regressors.join(groups | {"aperture": principal_columns(outside, use, least)})
+
+    given = shares.problem.data.time, y - np.median(y), variance, use, np.empty((len(y), 0))
+    try:
+        return y, fit(regressors, *given, Options(), predicted=True)
+    except (NothingToCorrectError, np.linalg.LinAlgError):
+        return None  # pixels explain nothing
+
+
+def _put_on_light(shares):
+    """Give the fluxes what the pixels' response does not explain of the stars' light.
+
+    Return relative errors that a star's fluxes have in common, and those of what is explained,
+    ``(n_stars, n)`` each.
+    """
+    problem, phi, cadence = shares.problem, shares.basis()[0], shares.state.cadence.copy()
+    common, explained = np.zeros((2, len(shares.images), len(phi)))
+    for k, image in enumerate(shares.images):
+        terms, column = phi * image.common * shares.width[shares.order], problem.flux_number(k)
+        common[k] = np.linalg.norm(terms, axis=1)
+        if column >= cadence.shape[1] or (found := _regressed(shares, k)) is None:
+            continue
+        y, solution = found
+        use, flux = solution.use, cadence[:, column]
+        # of what the polynomials can follow
+        left = (y - solution.systematics)[use] - np.log(flux[use])
+        weight = 1 / np.sqrt(solution.variance[use])
+        seen = weight[:, None] * terms[use]
+        gram = seen.T @ seen + np.eye(seen.shape[1])
+        gauge = terms @ np.linalg.solve(gram, seen.T @ (weight * (left - np.median(left))))
+        cadence[:, column] *= np.exp(gauge - np.median(gauge[use]))
+        common[k], explained[k] = terms[:, 0], np.sqrt(solution.systematics_variance)
+    shares.state = replace(shares.state, cadence=cadence)
+    for step in (shares.update, *[shares.improve] * 2):
+        step()
+    return common, explained
+
+
+def _errors(shares, common, explained):
     """`Errors` of the cadences, and how many of their parameters are free, ``(n,)``."""
     normal, _, design = shares.equations()
     k = normal.shape[1]
@@ -346,17 +427,16 @@ def _errors(shares):
     gain = covariance @ (design * shares.weight[..., None] ** 2).transpose(0, 2, 1)
     for image in (shares.images[star] for star in shares.firsts):
         part = gain[..., image.pixels]
-        part -= (part @ image.parts)[..., None] * image.share
+        part -= (part @ image.parts)[..., None]
     phi, own = shares.basis()[0], np.arange(k)
     for pixel, _, stars in shares.pixels():
         columns = np.hstack([flux[:, None] * phi for flux, _ in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
         covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
-    # The gauge fixes what a star's pixels have in common: its error is the prior's.
-    common = np.linalg.norm(phi * shares.width[shares.order], axis=1) * [
-        [np.linalg.norm(image.share * image.unit) / (image.size @ image.share)]
-        for image in shares.images
-    ]
+    for star, error in enumerate(explained):
+        if (column := shares.problem.flux_number(star)) < k:
+            flux = shares.problem.fluxes(shares.state, star)
+            covariance[:, column, column] += (error * flux) ** 2
     s = shares.problem.n_shared
     mixed = np.zeros((*covariance.shape[:2], s))
     return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free

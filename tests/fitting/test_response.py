@@ -11,7 +11,6 @@ from scope_models.effects import PixelShares
 from scope_models.effects.light import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions, _response
-from scope_models.fitting._products import smoothed
 from scope_models.photometry import cdpp
 
 # A PSF of many parts, random response within the pixels, focus: another renderer than ours.
@@ -95,17 +94,64 @@ def test_errors_of_the_flux_hold_what_the_gauge_fixes(sky, fit):
     assert np.quantile(deviation / (fit.flux_err / fit.flux), 0.95) < 0.4  # 0.13
 
 
+def deviations(fit, truth):
+    """Relative flux less the truth, without outliers, and the light curve's typical error."""
+    good, lc = ~fit.outliers, fit.to_lightcurve()
+    relative = fit.flux / truth
+    error = np.median(lc.flux_err.value / lc.flux.value)
+    return (relative / np.median(relative[good]) - 1)[good], error
+
+
 @pytest.mark.parametrize("seed", [2002, pytest.param(2005, marks=pytest.mark.slow)])
-def test_errors_of_a_light_curve_hold_what_follows_the_position(seed):
-    """The roll of 6 h is in the flux: in a warning or not, it is in the errors."""
+def test_a_light_curve_does_not_follow_the_motion(seed):
+    """The sum of the pixels does, at 3 to 5 times its errors."""
     sky = make_sky("k2-1x-kp14", seed)
-    fit = fitted(sky.to_tpf()[:400])
-    lc, index = fit.to_lightcurve(), np.searchsorted(sky.cadenceno, fit.cadenceno)
-    deviation = fit.flux / sky.true_flux[index]
-    good = ~fit.outliers
-    fast = (deviation - smoothed(fit.time, deviation))[good]
-    assert fast.std() > 1.2 * np.median(fit.flux_scatter)
-    assert 0.7 < fast.std() / np.median(lc.flux_err.value) < 1.3
+    tpf = sky.to_tpf()[:400]
+    fit = fitted(tpf)
+    index = np.searchsorted(sky.cadenceno, fit.cadenceno)
+    found, error = deviations(fit, sky.true_flux[index])
+    assert 0.8 * error < found.std() < 1.4 * error  # 1.2
+    light = np.nansum(fit.observed[:, sky.aperture], axis=1)[~fit.outliers]
+    light = light / sky.true_flux[index][~fit.outliers]
+    assert found.std() < 0.6 * light.std() / light.mean()
+    assert np.abs(np.corrcoef(found, fit.x[~fit.outliers])[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("star", "amplitude", "period"),
+    [("rr_lyrae", 0.1, 0.5), pytest.param("sine", 0.005, 10.0, marks=pytest.mark.slow)],
+)
+def test_variability_stays_in_the_flux(star, amplitude, period):
+    regime = SkyRegime("variable", magnitude=13.0, star=star, amplitude=amplitude, period=period)
+    sky = make_sky(regime, seed=10, n_cadences=600)
+    fit = fitted(sky.to_tpf())
+    truth = sky.true_flux[np.searchsorted(sky.cadenceno, fit.cadenceno)]
+    good, truth = ~fit.outliers, truth / np.median(truth)
+    slope, _ = np.polyfit(truth[good], fit.flux[good] / np.median(fit.flux[good]), 1)
+    assert abs(slope - 1) < 0.05
+    found, error = deviations(fit, truth)
+    assert found.std() < 2 * error
+
+
+def test_fluxes_of_a_pair_do_not_follow_the_motion():
+    time = np.arange(300) / 48.94
+    signals = 1 + 0.01 * np.sin(2 * np.pi * time / 3.3), 1 + 0.02 * np.cos(2 * np.pi * time / 0.7)
+    places = [(5.0, 5.0), (7.2, 6.1)]
+    stars = [Star(13.0, *place, signal=s) for place, s in zip(places, signals, strict=True)]
+    observation = simulate(stars, Detector.k2(shape=(11, 11)), Motion.k2_roll(300, seed=4), seed=3)
+    fit = fitted(observation.to_tpf(), stars=places)
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    found, error = deviations(fit, signals[0][used])
+    assert found.std() < 1.4 * error
+    other = fit.neighbors[0].flux / signals[1][used]
+    assert other.std() / other.mean() < 1.6 * error
+
+
+def test_the_flux_of_a_star_at_rest_is_that_of_its_psf():
+    tpf = simulate(Star(13.0), Detector.k2(shape=(6, 6)), Motion.still(60), seed=1).to_tpf()
+    fit = fitted(tpf, psf=1)
+    found, error = deviations(fit, 1.0)
+    assert 0.7 * error < found.std() < 1.3 * error
 
 
 def test_sum_of_shares_and_background(fit):
