@@ -211,15 +211,6 @@ class _Shares:
                 counts += np.bincount(order, minlength=len(squares))
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
-    def fix_gauge(self):
-        """Make a sum of shares the PSF's, with no change that is common to all pixels."""
-        for image in self.images:
-            values, seen = image.values, image.unit > 0
-            if self.problem.options.background == "cadence":
-                weight = image.unit[seen] ** -2
-                values[:, seen] -= (values[:, seen] @ weight / np.sum(weight))[:, None]
-            values -= values.sum(axis=1)[:, None] * image.parts
-
     def responses(self):
         """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
@@ -280,7 +271,7 @@ class _Shares:
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
         before, both = np.inf, [self.improve] * 2
         for number in range(1, steps + 1):
-            for step in (self.update, self.fix_gauge, *both, self.put_on_path, self.leave_out):
+            for step in (self.update, *both, self.put_on_path, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             report(cost)
