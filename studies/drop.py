@@ -49,9 +49,9 @@ def amplitude(fit, keep):
     """Peak-to-peak amplitude along one axis, its error for white noise, and the residuals."""
     # The fitted background absorbs errors of the PSF's wings: the pipeline's is the better one.
     light = np.nansum(fit.observed, axis=(1, 2))
-    shares = (fit.fitted - fit.background[:, None, None]) / fit.flux[:, None, None]
-    shares = np.nan_to_num(shares).reshape(len(light), -1)
-    lost = 1 - shares.sum(axis=1, keepdims=True)
+    shares = np.nan_to_num(fit.fitted - fit.background[:, None, None]).reshape(len(light), -1)
+    held = fit.model.unit_images(fit.shape, fit.x, fit.y).sum(axis=(1, 2))[:, None]
+    lost, shares = 1 - held, shares * held / shares.sum(axis=1, keepdims=True)
     columns = wave_of(fit.x, fit.y)[:, None], shares * FLAT, lost * LOSS
     columns = [each[keep] - each[keep].mean(axis=0) for each in columns]
     flux, time = (light / np.median(light))[keep], fit.time[keep]
