@@ -51,8 +51,8 @@ _HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
 # Agreement of motion that is put on the scale of POS_CORR.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest step of a position, pixels; change of the cost that is none, relative and in its scatter;
-# most last steps, for one star and for each of many.
-_MOVE, _SAME, _SMALL, _MOST_STEPS, _FEW_STEPS = 0.1, 3e-4, 0.01, 80, 10
+# most last steps.
+_MOVE, _SAME, _SMALL, _MOST_STEPS = 0.1, 3e-4, 0.01, 80
 # Reach of the polynomials beyond percentiles of positions, in parts of their range and pixels.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
 # Products of fractions in the regression of the light.
@@ -327,8 +327,7 @@ def fit_response(problem, solution, fits, report):
     cadence[:, :2] = center
     start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
     shares, steps, left = _choose(_Shares(problem, start, center, error), report)
-    most = min(max(_MOST_STEPS // len(problem.stars), _FEW_STEPS), left)
-    settled, more = shares.climb(most, report)
+    settled, more = shares.climb(min(_MOST_STEPS, left), report)
     for _ in range(3):
         shares.improve()
     errors, n_free = _errors(shares, *_put_on_light(shares))
