@@ -340,27 +340,29 @@ def _light(shares, number):
     """Return a star's light, its relative variance, images of its fractions, and their pixels.
 
     The light is the sum of pixels, without that of other stars, the model's where pixels are hit:
-    it is free of conventions. Last comes the part of all light that it is.
+    it is free of conventions. Last come the part of all light that it is, and the cadences with
+    data in which all of these are positive; elsewhere they are of any value.
     """
     image, problem = shares.images[number], shares.problem
     unit = shares.psf()[number][0] + shares.basis()[0] @ image.values
     seen, rest = (values[:, image.pixels] for values in (shares.weight, shares.residual()))
     light = problem.fluxes(shares.state, number)[:, None] * unit + np.where(seen > 0, rest, 0.0)
     inside = image.size >= _EVERYWHERE * image.size.max()
-    total, fractions = light[:, inside].sum(axis=1), unit[:, inside]
-    inner = fractions.sum(axis=1)
     variance = np.where(seen > 0, seen, np.inf)[:, inside] ** -2.0
+    sums = [each.sum(axis=1) for each in (light[:, inside], variance, unit[:, inside], unit)]
+    good = np.min(sums, axis=0) > 0
+    total, variance, inner, whole = np.where(good, sums, 1.0)
     mask = problem.stamps[problem.stars[number].stamp].pixels.copy()
     mask[mask] = inside
     images = np.zeros((len(unit), *mask.shape))
-    images[:, mask] = fractions / inner[:, None]
-    return total, variance.sum(axis=1) / total**2, images, mask, inner / unit.sum(axis=1)
+    images[:, mask] = unit[:, inside] / inner[:, None]
+    return total, variance / total**2, images, mask, inner / whole, good
 
 
 def _regressed(shares, number):
     """Return the logarithm of a star's light and the solution of its regression, or None."""
-    total, variance, images, mask, held = _light(shares, number)
-    use = shares.used & (total > 0) & (shares.problem.fluxes(shares.state, number) > 0)
+    total, variance, images, mask, held, good = _light(shares, number)
+    use = shares.used & good & (shares.problem.fluxes(shares.state, number) > 0)
     if use.sum() < _FEWEST:
         return None
     y, least = np.log(np.where(use, total, np.median(total[use]))), least_square(variance[use])

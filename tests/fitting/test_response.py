@@ -226,6 +226,16 @@ def test_without_pos_corr(sky):
     assert 0.9 < found.reduced_chi2 < 1.2
 
 
+def test_cadences_without_data_of_the_star(sky):
+    """Faint pixels have data there: it has no light to regress."""
+    tpf = sky.to_tpf()[:150]
+    flux = tpf.hdu[1].data["FLUX"]
+    flux[40:43, np.median(flux, axis=0) > 0.002 * np.median(flux, axis=0).max()] = np.nan
+    found = fitted(tpf)
+    assert np.isfinite(found.flux).all()
+    assert 0.9 < found.reduced_chi2 < 1.2
+
+
 class TestShares:
     def test_derivatives(self):
         generator = np.random.default_rng(1)
