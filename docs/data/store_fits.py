@@ -36,52 +36,52 @@ def corrected(tpf):
         return PLDCorrector(tpf).correct()
 
 
-def noise(curve):
-    """Return the CDPP in EVEREST's convention, NaN if that needs more cadences."""
+def noise(curve, cadenceno):
+    """Return the CDPP of some cadences in EVEREST's convention, NaN if that needs more."""
     try:
-        return float(cdpp(curve, method="everest"))
+        return float(cdpp(curve[np.isin(curve.cadenceno.value, cadenceno)], method="everest"))
     except ValueError:
         return np.nan
 
 
 def fluxes():
-    """Return a row for each sky: rms of relative fluxes about the truth, all cadences, ppm."""
+    """Return a row for each sky: rms of relative fluxes about the truth, the same cadences, ppm."""
     rows = []
     for name in SKIES:
         sky = make_sky(name, SEED, n_cadences=CADENCES)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FitWarning)
             fit = fit_tpf(sky.to_tpf(), response="pixels")
-        used = np.searchsorted(sky.cadenceno, fit.cadenceno)
+        good, curve = ~fit.outliers, corrected(sky.to_tpf())
+        used = np.searchsorted(sky.cadenceno, fit.cadenceno[good])
+        own = np.searchsorted(curve.cadenceno.value, fit.cadenceno[good])
         truth = sky.true_flux[used] / np.median(sky.true_flux[used])
-        curve = corrected(sky.to_tpf())
-        own = np.isin(curve.cadenceno.value, fit.cadenceno)
         light = sky.flux[used][:, sky.aperture].sum(axis=1)
         rows.append(
             {
                 "star": name,
                 "sum of the aperture": left(light, truth),
-                "fit": left(fit.flux, truth, ~fit.outliers),
-                "as stated": round(1e6 * float(np.median(fit.flux_scatter / fit.flux))),
+                "fit": left(fit.flux[good], truth),
+                "as stated": round(1e6 * float(np.median((fit.flux_scatter / fit.flux)[good]))),
                 "corrector": left(np.asarray(curve.flux.value, dtype=float)[own], truth),
-                "amplitude": kept(fit.flux, truth, ~fit.outliers),
+                "amplitude": kept(fit.flux[good], truth),
             }
         )
         print(rows[-1], flush=True)
     return Table(rows)
 
 
-def left(flux, truth, good=slice(None)):
+def left(flux, truth):
     """Return the rms of a relative flux about the truth, ppm."""
-    relative = (flux / truth)[good]
+    relative = flux / truth
     return round(1e6 * float(np.nanstd(relative) / np.nanmedian(relative)))
 
 
-def kept(flux, truth, good):
+def kept(flux, truth):
     """Return the part of the variability that is in the flux, NaN for constant stars."""
     if np.ptp(truth) == 0:
         return np.nan
-    slope, _ = np.polyfit(truth[good], flux[good] / np.median(flux[good]), 1)
+    slope, _ = np.polyfit(truth, flux / np.median(flux), 1)
     return round(float(slope), 3)
 
 
@@ -106,8 +106,8 @@ def fits(paths):
                 "held out": round(float(fit.chi2_held_out), 2),
                 "motion x": round(float(x), 2),
                 "motion y": round(float(y), 2),
-                "CDPP (ppm)": round(noise(fit.to_lightcurve()[~fit.outliers]), 1),
-                "corrector": round(noise(corrected(path)), 1),
+                "CDPP (ppm)": round(noise(fit.to_lightcurve(), fit.cadenceno[~fit.outliers]), 1),
+                "corrector": round(noise(corrected(path), fit.cadenceno[~fit.outliers]), 1),
             }
         )
         print(rows[-1], flush=True)

@@ -31,7 +31,7 @@ from scope_models.regression._columns import (
     least_square,
     principal_columns,
 )
-from scope_models.regression._solution import fit
+from scope_models.regression._solution import DEFAULT, fit
 
 __all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict"]
 
@@ -91,15 +91,15 @@ class PLDOptions(Value):
     5.0
     """
 
-    trend: str = "gp"
+    trend: str = DEFAULT.trend
     segments: object = ()
     saturation: object = "auto"
     background: int = integer(3, 1)
     background_aperture_mask: object = None
     pca_components: int | None = integer(None, 0)
     pld_aperture_mask: object = None
-    sigma: float = number(5.0, positive=True)
-    max_clips: int = integer(5, 0)
+    sigma: float = number(DEFAULT.sigma, positive=True)
+    max_clips: int = integer(DEFAULT.max_clips, 0)
 
     def __post_init__(self):
         check_fields(self)
@@ -223,9 +223,8 @@ class PLDModel:
             images = without_saturation(images, full, centers, mask)
         images /= total[:, None, None]
         least = least_square((pixels.total_err[usable] / total)[use] ** 2)
-        parts = fraction_columns(
-            images, mask, options.order, use, least, most=most, predicted=self.clean is not None
-        )
+        kind = {"order": options.order, "most": most, "predicted": self.clean is not None}
+        parts = fraction_columns(images, mask, use, least, **kind)
         if self.breaks:
             parts["segments"] = contrast_columns(
                 parts["order 1"], pixels.time[usable], self.breaks, use

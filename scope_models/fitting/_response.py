@@ -3,7 +3,7 @@
 Shares begin as those of a PSF that is fitted to some of the cadences. Each pixel's deviation is a
 polynomial of the star's fitted position and slow time, with priors whose widths the data give.
 Shares and cadences are fitted in turn, each by linear least squares. What all pixels have in common
-is the star's flux or the pixels' response: the regression of the star's light tells these apart.
+is the star's flux or the pixels' response: the regression of the star's light separates these.
 """
 
 from copy import copy
@@ -26,7 +26,7 @@ from scope_models.regression._columns import (
     least_square,
     principal_columns,
 )
-from scope_models.regression._solution import NothingToCorrectError, Options, fit
+from scope_models.regression._solution import DEFAULT, NothingToCorrectError, fit
 
 __all__ = ["fit_response"]
 
@@ -55,8 +55,6 @@ _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 _MOVE, _SAME, _SMALL, _MOST_STEPS = 0.1, 3e-4, 0.01, 80
 # Reach of the polynomials beyond percentiles of positions, in parts of their range and pixels.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
-# Products of fractions in the regression of the light.
-_ORDER = 2
 # Motion up to which an image is of first order, pixels; cadences at once.
 _TAYLOR, _CHUNK = 1e-3, 512
 # Residual, in errors, from which the cost grows only linearly.
@@ -211,6 +209,13 @@ class _Shares:
                 counts += np.bincount(order, minlength=len(squares))
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
+    def expected(self):
+        """Return the same at the positions of POS_CORR, which do not follow the stars' flux."""
+        other, cadence = copy(self), self.state.cadence.copy()
+        cadence[:, :2] = self.center
+        other.state = replace(self.state, cadence=cadence)
+        return other
+
     def responses(self):
         """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
@@ -321,7 +326,8 @@ def fit_response(problem, solution, fits, report):
         error = min(_POSITION_ERROR, _POSITION_PART * moved)
     problem = replace(few, stamps=problem.stamps, error_scale=1.0)
     center = centroids(problem.data, *problem.places)
-    if corr is not None and problem.options.positions != "free":
+    known = corr is not None and problem.options.positions != "free"
+    if known:
         center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
     cadence = np.zeros((len(center), len(problem.columns)))
     cadence[:, :2] = center
@@ -330,78 +336,86 @@ def fit_response(problem, solution, fits, report):
     settled, more = shares.climb(min(_MOST_STEPS, left), report)
     for _ in range(3):
         shares.improve()
-    errors, n_free = _errors(shares, *_put_on_light(shares))
+    errors, n_free = _errors(shares, *_put_on_light(shares, known))
     psf = psf_covariance(solution, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
     return [_result(shares, errors, psf, n_free, *pair, **ended) for pair in enumerate(fits)]
 
 
-def _light(shares, number):
+def _light(shares, number, rest):
     """Return a star's light, its relative variance, images of its fractions, and their pixels.
 
-    The light is the sum of pixels, without that of other stars, the model's where pixels are hit:
-    it is free of conventions. Last come the part of all light that it is, and the cadences with
-    data in which all of these are positive; elsewhere they are of any value.
+    The light, as a logarithm, is the sum of pixels without that of other stars, the model's where
+    pixels are hit: it is free of conventions. Last come the part of all light that it is, and the
+    cadences in use that have light and data; elsewhere all is of any value.
     """
     image, problem = shares.images[number], shares.problem
-    unit = shares.psf()[number][0] + shares.basis()[0] @ image.values
-    seen, rest = (values[:, image.pixels] for values in (shares.weight, shares.residual()))
-    light = problem.fluxes(shares.state, number)[:, None] * unit + np.where(seen > 0, rest, 0.0)
+    flux = problem.fluxes(shares.state, number)
     inside = image.size >= _EVERYWHERE * image.size.max()
-    variance = np.where(seen > 0, seen, np.inf)[:, inside] ** -2.0
-    sums = [each.sum(axis=1) for each in (light[:, inside], variance, unit[:, inside], unit)]
-    good = np.min(sums, axis=0) > 0
+    # positions follow a star beside constant light, those that are expected do not
+    both = shares, shares.expected()
+    unit, steady = (each.psf()[number][0] + each.basis()[0] @ image.values for each in both)
+    seen = shares.weight[:, image.pixels]
+    light = flux[:, None] * unit + np.where(seen > 0, rest[:, image.pixels], 0.0)
+    variance = np.where(seen > 0, seen, np.inf) ** -2.0
+    each = *(values[:, inside] for values in (light, variance, steady)), steady
+    sums = [values.sum(axis=1) for values in each]
+    good = np.min([*sums, flux], axis=0) > 0
     total, variance, inner, whole = np.where(good, sums, 1.0)
+    use = shares.used & good
+    y = np.log(np.where(use, total / np.median(total[use]), 1.0)) if use.any() else 0 * total
     mask = problem.stamps[problem.stars[number].stamp].pixels.copy()
     mask[mask] = inside
-    images = np.zeros((len(unit), *mask.shape))
-    images[:, mask] = unit[:, inside] / inner[:, None]
-    return total, variance / total**2, images, mask, inner / whole, good
+    images = np.zeros((len(flux), *mask.shape))
+    images[:, mask] = steady[:, inside] / inner[:, None]
+    return y, variance / total**2, images, mask, inner / whole, use
 
 
-def _regressed(shares, number):
-    """Return the logarithm of a star's light and the solution of its regression, or None."""
-    total, variance, images, mask, held, good = _light(shares, number)
-    use = shares.used & good & (shares.problem.fluxes(shares.state, number) > 0)
-    if use.sum() < _FEWEST:
-        return None
-    y, least = np.log(np.where(use, total, np.median(total[use]))), least_square(variance[use])
+def _explained(shares, light):
+    """Return the `Solution` of the regression of a star's light on its fractions, or None."""
+    y, variance, images, mask, part, use = light
+    least = least_square(variance[use])
 
     def regressors(use):
-        groups = fraction_columns(images, mask, _ORDER, use, least)
-        outside = -np.log(np.maximum(held, LEAST_LIGHT))[:, None]
+        groups = fraction_columns(images, mask, use, least)
+        outside = -np.log(np.maximum(part, LEAST_LIGHT))[:, None]
         return Regressors.join(groups | {"aperture": principal_columns(outside, use, least)})
 
-    given = shares.problem.data.time, y - np.median(y), variance, use, np.empty((len(y), 0))
+    given = shares.problem.data.time, y, variance, use, np.empty((len(y), 0)), DEFAULT
     try:
-        return y, fit(regressors, *given, Options(), predicted=True)
+        return fit(regressors, *given, predicted=True)
     except (NothingToCorrectError, np.linalg.LinAlgError):
-        return None  # pixels explain nothing
+        return None
 
 
-def _put_on_light(shares):
+def _put_on_light(shares, known):
     """Give the fluxes what the pixels' response does not explain of the stars' light.
 
-    Return relative errors that a star's fluxes have in common, and those of what is explained,
+    Without ``known`` positions it explains nothing: fitted ones may follow the stars. Return
+    relative errors that a star's fluxes have in common, and those of what is explained,
     ``(n_stars, n)`` each.
     """
     problem, phi, cadence = shares.problem, shares.basis()[0], shares.state.cadence.copy()
+    rest = shares.residual()
     common, explained = np.zeros((2, len(shares.images), len(phi)))
     for k, image in enumerate(shares.images):
         terms, column = phi * image.common * shares.width[shares.order], problem.flux_number(k)
         common[k] = np.linalg.norm(terms, axis=1)
-        if column >= cadence.shape[1] or (found := _regressed(shares, k)) is None:
+        if column >= cadence.shape[1]:
             continue
-        y, solution = found
-        use, flux = solution.use, cadence[:, column]
+        left, variance, *_, use = light = _light(shares, k, rest)
+        if use.sum() < _FEWEST:
+            continue
+        if known and (solution := _explained(shares, light)):
+            left, use = left - solution.systematics, solution.use
+            common[k], explained[k] = terms[:, 0], np.sqrt(solution.systematics_variance)
         # of what the polynomials can follow
-        left = (y - solution.systematics)[use] - np.log(flux[use])
-        weight = 1 / np.sqrt(solution.variance[use])
+        left = left[use] - np.log(cadence[use, column])
+        weight = 1 / np.sqrt(variance[use])
         seen = weight[:, None] * terms[use]
         gram = seen.T @ seen + np.eye(seen.shape[1])
         gauge = terms @ np.linalg.solve(gram, seen.T @ (weight * (left - np.median(left))))
         cadence[:, column] *= np.exp(gauge - np.median(gauge[use]))
-        common[k], explained[k] = terms[:, 0], np.sqrt(solution.systematics_variance)
     shares.state = replace(shares.state, cadence=cadence)
     for step in (shares.update, *[shares.improve] * 2):
         step()

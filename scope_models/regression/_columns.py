@@ -43,7 +43,7 @@ def least_square(variance):
     return _TOLERANCE * float(np.median(variance)) / len(variance)
 
 
-def fraction_columns(images, mask, order, use, least, *, most=None, predicted=True):
+def fraction_columns(images, mask, use, least, *, order=2, most=None, predicted=True):
     """Return products of pixel fractions up to an ``order``, ``most`` columns per group, by name.
 
     The ``images`` ``(n, ny, nx)``, zero outside of the mask, are `principal_columns` with at

@@ -23,7 +23,7 @@ from scope_models.regression._variances import (
     fit_hyperparameters,
 )
 
-__all__ = ["NothingToCorrectError", "Options", "Solution", "fit"]
+__all__ = ["DEFAULT", "NothingToCorrectError", "Solution", "fit"]
 
 #: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
@@ -63,6 +63,9 @@ class Options(NamedTuple):
     n_trend: int = 1
     sigma: float = 5.0
     max_clips: int = 5
+
+
+DEFAULT = Options()
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,28 @@ def test_variability_stays_in_the_flux(star, amplitude, period):
 
 
 @pytest.mark.parametrize(
+    ("star", "amplitude", "period", "positions"),
+    [
+        ("rr_lyrae", 0.1, 0.5, "wrong"),  # as those of real files
+        ("eclipsing", 0.2, 1.7, "none"),
+        pytest.param("eclipsing", 0.2, 1.7, "wrong", marks=pytest.mark.slow),
+        pytest.param("rr_lyrae", 0.1, 0.5, "none", marks=pytest.mark.slow),
+    ],
+)
+def test_variability_beside_a_star_that_is_not_fitted(star, amplitude, period, positions):
+    """Positions and fractions follow the star there: they must not explain it."""
+    variable = {"star": star, "amplitude": amplitude, "period": period}
+    regime = SkyRegime("blend", magnitude=13.0, neighbors=((1.0, 3.0, 0.0),), **variable)
+    sky = make_sky(regime, seed=77, n_cadences=400, positions=positions)
+    fit = fitted(sky.to_tpf())
+    truth = sky.true_flux[np.searchsorted(sky.cadenceno, fit.cadenceno)]
+    good, truth = ~fit.outliers, truth / np.median(truth)
+    slope, _ = np.polyfit(truth[good], fit.flux[good] / np.median(fit.flux[good]), 1)
+    # the star's part of the light; without positions the PSF decides what the neighbor has
+    assert abs(slope / 0.715 - 1) < (0.1 if positions == "wrong" else 0.2)
+
+
+@pytest.mark.parametrize(
     ("place", "mag"), [((7.2, 6.1), 13.0), pytest.param((6.3, 6.2), 12.3, marks=pytest.mark.slow)]
 )
 def test_fluxes_of_a_pair_do_not_follow_the_motion(place, mag):
