@@ -11,19 +11,15 @@ from astropy import units as u
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import check_fields, checked_choice, integer, number
 from scope_models._values import Value, frozen
-from scope_models.correctors._light import Source, transit_column
-from scope_models.correctors._pixels import Pixels, aperture_pixels, at_rows, typical_image
 from scope_models.correctors._result import PLDFit
+from scope_models.correctors._signals import transit_column
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
+from scope_models.pixelmodel._pixels import Pixels, aperture_pixels, at_rows
 from scope_models.pixelmodel._smooth import MOST, Smoother, quantile
-from scope_models.pixelmodel._stamp import (
-    find_row_centers,
-    full_columns,
-    rows_of_star,
-    without_saturation,
-)
-from scope_models.pixelmodel._star import IMAGE_ERROR, LEAST_LIGHT, StarModel, fit_star
+from scope_models.pixelmodel._source import Source, can_predict, with_predicted_fractions
+from scope_models.pixelmodel._stamp import find_row_centers, full_columns, without_saturation
+from scope_models.pixelmodel._star import StarModel
 from scope_models.regression._columns import (
     Regressors,
     contrast_columns,
@@ -33,7 +29,7 @@ from scope_models.regression._columns import (
 )
 from scope_models.regression._solution import DEFAULT, fit
 
-__all__ = ["PLDModel", "PLDOptions", "Settings", "can_predict"]
+__all__ = ["PLDModel", "PLDOptions", "Settings"]
 
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
@@ -42,9 +38,6 @@ _FRACTIONS = ("predicted", "measured")
 _TRENDS = {"gp": 1, "quadratic": 3}
 #: Prior: number of components of files of other stars.
 _OTHER_COMPONENTS = 10
-#: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
-#: background.
-_STATES = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -195,7 +188,8 @@ class PLDModel:
         if not measured and "background" not in extra and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, saturation)
         if clean is not None:
-            extra |= clean_columns(clean, source.share, pixels.usable, use)
+            found, usable = clean.columns(source.share, use[pixels.usable]), pixels.usable
+            extra |= {name: at_rows(values, usable) for name, values in found.items()}
             pixels, saturation = predicted, None
         else:
             if "background" not in extra:
@@ -290,95 +284,6 @@ def _check_enough(use):
         )
 
 
-def can_predict(pixels, saturation, use):
-    """Whether pixel fractions can be predicted, learned from the cadences in ``use``.
-
-    Not with few pixels, of which full columns are one each, without FLUX_ERR, nor for a moving
-    aperture over full columns.
-    """
-    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
-    full = pixels.full_columns(use, saturation)
-    seen = _seen(pixels)
-    n_pixels = (seen & full).any(axis=0).sum() + (seen & ~full).sum()
-    if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
-        return False
-    return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
-
-
-def _seen(pixels):
-    """Return the pixels with data that may show the star."""
-    seen = np.zeros_like(pixels.aperture)
-    seen[pixels.near] = True
-    return seen & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
-
-
-def with_predicted_fractions(pixels, pos_corr, learned, saturation):
-    """Return the star's light with predicted pixel fractions in place of the measured pixels.
-
-    Images are ``learned`` from some cadences. The ``total`` of the returned pixels is the light
-    without background, their ``flux`` the predicted fractions at constant focus times this. Second
-    comes the `StarModel`; None, with the pixels as they were, if it fails.
-    """
-    use = pixels.usable
-    full = pixels.full_columns(learned, saturation)
-    # others do not vary with this one
-    known = _seen(pixels) & (pixels.aperture | pixels.own & ~full)
-    rows, columns = np.nonzero(known)
-    if pos_corr is None:
-        pos_corr = np.full((len(use), 2), np.nan)
-    error = pixels.flux_err[use][:, known]
-    error = np.where(error > 0, error, np.nan)
-    typical = typical_image(error)
-    typical[np.isnan(typical)] = np.nanmedian(typical)
-    error = np.where(np.isnan(error), typical, error)
-    try:
-        with np.errstate(all="ignore"):  # of a model that fails
-            clean = fit_star(
-                pixels.time[use],
-                pixels.flux[use][:, known],
-                error,
-                pos_corr[use],
-                np.stack([columns, rows], axis=1),
-                pixels.aperture[known],
-                use=pixels.quiet(learned)[use],
-                banded=pixels.banded[use],
-                full=full[columns],
-            )
-    except (np.linalg.LinAlgError, ValueError):  # singular, or no number
-        clean = None
-    if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
-        message = (
-            "the model of the pixels fails, or the star has too many places for so few cadences: "
-            "measured fractions are taken"
-        )
-        warnings.warn(message, DetrendingWarning, stacklevel=4)
-        return pixels, None
-    light, light_error = clean.light, clean.light_error
-    if pixels.weights is not None:  # from the part that a moving aperture holds
-        weights = pixels.weights[use][:, known] * pixels.aperture[known]
-        held, measured = np.sum(weights * clean.shares, axis=1), pixels.flux[use][:, known]
-        predicted = clean.shares * light[:, None]
-        measured = np.where(clean.repaired, predicted, measured - clean.background)
-        light = np.sum(weights * measured, axis=1) / held
-        variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
-        light_error = np.sqrt(variance) / held
-    flux = np.zeros_like(pixels.flux)
-    cube = np.zeros((use.sum(), *known.shape))
-    cube[:, known] = clean.still * light[:, None]
-    if full.any():
-        inside, learned = pixels.aperture & known, learned[use]
-        centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
-        varies = clean.position, clean.variable, learned
-        cube = without_saturation(cube, full, rows_of_star(centers, *varies), inside)
-        if pixels.neighbors is not None:  # what is left of their light follows the star
-            weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
-            clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
-    flux[use] = cube
-    total, total_err = at_rows(light, use), at_rows(light_error, use)
-    usable = use & (np.nan_to_num(total) > 0)
-    return replace(pixels, flux=flux, total=total, total_err=total_err, usable=usable), clean
-
-
 def given_columns(pixels, options, cadenceno, use):
     """Return groups of columns by name that a user wants, as `PLDCorrector.correct` takes them."""
     given, groups = options.regressors, {}
@@ -451,28 +356,6 @@ def _matched(columns, number, cadenceno, name):
     matched = np.full((len(cadenceno), columns.shape[1]), np.nan)
     matched[here] = columns[there]
     return matched
-
-
-def clean_columns(clean, share, usable, use):
-    """Return groups of columns from a `StarModel`.
-
-    Where the star's ``share`` of the light, ``(ny, nx)``, differs from pixel to pixel, the misfit
-    follows a star that dims, by the difference of its image and that of all light, and with
-    coefficients of about one the flux does. Units make this no more than an image's error.
-    """
-    size = np.maximum([part[use[usable]].std(axis=0) for part in clean.position.T], 1e-12)
-    # in units of its size, a focus that hardly changes would explain the star's variability
-    focus = clean.focus[:, None]
-    image, share = clean.still.mean(axis=0), share[*clean.grid.T[::-1]]
-    change = np.linalg.norm(image * share / (image @ share) - image)
-    # beyond predictions; weights of least squares follow a star that moves
-    misfit = np.column_stack([clean.misfit, clean.level, clean.weighted])
-    groups = {
-        "focus": np.concatenate([focus, focus * clean.position / size], axis=1),
-        "aperture": -np.log(np.maximum(1 + clean.outside, LEAST_LIGHT))[:, None],
-        "misfit": misfit * IMAGE_ERROR / np.hypot(IMAGE_ERROR, change),
-    }
-    return {name: at_rows(columns, usable) for name, columns in groups.items()}
 
 
 def level_column(pixels, use):

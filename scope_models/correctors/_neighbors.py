@@ -8,25 +8,25 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from scope_models.correctors._light import (
+from scope_models.exceptions import DetrendingWarning
+from scope_models.fitting import FitOptions, fit_tpf
+from scope_models.fitting._start import make_prf
+from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
+from scope_models.models import PRF
+from scope_models.pixelmodel._pixels import (
+    REACH,
+    at_one_place,
+    typical_image,
+    without_background,
+)
+from scope_models.pixelmodel._smooth import BLOCK, CLIP, nearness, polynomials
+from scope_models.pixelmodel._source import (
     NEAREST,
     PLACE,
     SHARE_ERROR,
     center_of_light,
     stars_of,
 )
-from scope_models.correctors._pixels import (
-    REACH,
-    at_one_place,
-    typical_image,
-    without_background,
-)
-from scope_models.exceptions import DetrendingWarning
-from scope_models.fitting import FitOptions, fit_tpf
-from scope_models.fitting._start import make_prf
-from scope_models.io.pixels import read_neighbors, star_places, target_among, usable_positions
-from scope_models.models import PRF
-from scope_models.pixelmodel._smooth import BLOCK, CLIP, nearness, polynomials
 from scope_models.pixelmodel._stamp import POSITION_PRIOR, Columns, without_saturation
 from scope_models.pixelmodel._star import MISFIT, RESPONSE_PRIOR
 

@@ -12,8 +12,7 @@ from scipy.stats import norm
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
 from scope_models._values import html_table
-from scope_models.correctors._light import (
-    SHARE_ERROR,
+from scope_models.correctors._signals import (
     box_signal,
     checked_depth,
     depth_ratio,
@@ -21,9 +20,10 @@ from scope_models.correctors._light import (
     no_survival,
     transit_column,
 )
-from scope_models.correctors._pixels import LARGEST_CORRECTION, OTHER_STAR, at_rows
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel._pixels import LARGEST_CORRECTION, OTHER_STAR, at_rows
 from scope_models.pixelmodel._smooth import TRANSIT
+from scope_models.pixelmodel._source import SHARE_ERROR
 from scope_models.pixelmodel._star import MISFIT, SMALL_STEP
 from scope_models.regression._solution import Solution
 

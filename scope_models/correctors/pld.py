@@ -9,13 +9,16 @@ from scope_models._checks import checked_cadences, checked_mask, solvable
 from scope_models._docstrings import documented
 from scope_models._threads import one_thread
 from scope_models._values import frozen
-from scope_models.correctors._model import PLDModel, PLDOptions, Settings, can_predict
+from scope_models.correctors._model import PLDModel, PLDOptions, Settings
 from scope_models.correctors._neighbors import (
     given_neighbors,
     light_of_neighbors,
     without_neighbors,
 )
-from scope_models.correctors._pixels import (
+from scope_models.correctors._result import PLDFit
+from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_pixels, read_tpf
+from scope_models.pixelmodel._pixels import (
     NOISIER,
     WORSE,
     aperture_pixels,
@@ -23,9 +26,7 @@ from scope_models.correctors._pixels import (
     noise_ratios,
     warn_of_pipeline,
 )
-from scope_models.correctors._result import PLDFit
-from scope_models.exceptions import DetrendingWarning
-from scope_models.io import read_pixels, read_tpf
+from scope_models.pixelmodel._source import can_predict
 from scope_models.regression._solution import NothingToCorrectError
 from scope_models.scene.motion import Motion
 

@@ -87,6 +87,26 @@ class StarModel:
     slopes: np.ndarray  # mean change of the fractions with column, row and width, (3, n_pixels)
     grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
 
+    def columns(self, share, use):
+        """Return groups of columns that explain the flux, by name, learned from cadences in use.
+
+        Where the star's ``share`` of the light, ``(ny, nx)``, differs from pixel to pixel, the
+        misfit follows a star that dims, by the difference of its image and that of all light, and
+        with coefficients of about one the flux does. Units make this no more than an image's error.
+        """
+        share = share[*self.grid.T[::-1]]
+        size = np.maximum(self.position[use].std(axis=0), 1e-12)
+        # in units of its size, a focus that hardly changes would explain the star's variability
+        focus, image = self.focus[:, None], self.still.mean(axis=0)
+        change = np.linalg.norm(image * share / (image @ share) - image)
+        # beyond predictions; weights of least squares follow a star that moves
+        misfit = np.column_stack([self.misfit, self.level, self.weighted])
+        return {
+            "focus": np.concatenate([focus, focus * self.position / size], axis=1),
+            "aperture": -np.log(np.maximum(1 + self.outside, LEAST_LIGHT))[:, None],
+            "misfit": misfit * IMAGE_ERROR / np.hypot(IMAGE_ERROR, change),
+        }
+
     def leaks(self):
         """Return the states by name, and what a standard deviation of three adds to fractions."""
         background = np.mean(self.background, axis=1)

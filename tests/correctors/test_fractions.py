@@ -12,11 +12,13 @@ from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, _model
 from scope_models.correctors._model import PLDModel, Settings
-from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.models import sinusoidal_signal
+from scope_models.pixelmodel import _source
+from scope_models.pixelmodel._pixels import aperture_pixels, background_plane, own_pixels
+from scope_models.pixelmodel._source import can_predict
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +222,7 @@ def test_a_model_without_numbers_is_replaced_with_a_warning(star, monkeypatch):
     def failing(*_, **__):
         raise ValueError("array must not contain infs or NaNs")
 
-    monkeypatch.setattr(_model, "fit_star", failing)
+    monkeypatch.setattr(_source, "fit_star", failing)
     corrector = PLDCorrector(star.tpf)
     with pytest.warns(DetrendingWarning, match="the model of the pixels fails"):
         lc = corrector.correct()
@@ -238,7 +240,7 @@ def test_pixels_without_data_show_nothing(star, known, predicted):
     mask = np.zeros(flux.shape[1:], dtype=bool)
     mask.flat[order[:4]] = True
     pixels = aperture_pixels(series.replace(flux=flux), mask)
-    assert _model.can_predict(pixels, None, pixels.usable) == predicted
+    assert can_predict(pixels, None, pixels.usable) == predicted
 
 
 def test_an_aperture_is_not_chosen_by_few_positions():

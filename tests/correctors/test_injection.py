@@ -7,8 +7,9 @@ import pytest
 
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._light import box_signal, star_share, stars_of
+from scope_models.correctors._signals import box_signal
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel._source import star_share, stars_of
 
 NOISY = pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 

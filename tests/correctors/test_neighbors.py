@@ -12,11 +12,12 @@ from astropy.table import QTable, Table
 
 from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.benchmark import SkyRegime, make_sky, score
-from scope_models.correctors import PLDCorrector, _light
+from scope_models.correctors import PLDCorrector
 from scope_models.exceptions import DetrendingWarning, LostLightWarning
 from scope_models.io import read_pixels
 from scope_models.io.pixels import target_place
 from scope_models.models import PRF
+from scope_models.pixelmodel import _source
 
 
 def corrected(sky, *arguments, **options):
@@ -467,7 +468,7 @@ def test_a_star_off_the_stamp_may_have_no_light():
     """All light is far from it, and none of a star at its place: no warning of a division."""
     image = np.zeros((6, 6))
     image[5], image[:3] = 10.0, -1.0
-    light, places, misfit = _light._fit(image, [[2.6, -2.6]])
+    light, places, misfit = _source._fit(image, [[2.6, -2.6]])
     assert not light.any()
     assert places.tolist() == [[2.6, -2.6]]
     assert np.isfinite(misfit).all()
@@ -481,6 +482,6 @@ def test_the_star_whose_profile_is_learned_stays_at_the_stamp():
         flux * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / sigma**2)
         for x, y, flux, sigma in stars
     )
-    _, places, _ = _light._fit(image, [[0.0, 8.0], [1.0, 2.0]])
+    _, places, _ = _source._fit(image, [[0.0, 8.0], [1.0, 2.0]])
     assert np.hypot(*(places[0] - stars[0][:2])) < 1.5
     assert places[1] == pytest.approx(stars[1][:2], abs=1.0)

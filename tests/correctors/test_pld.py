@@ -20,7 +20,6 @@ from scope_models.correctors import (
     compare_correctors,
 )
 from scope_models.correctors._model import PLDModel, Settings
-from scope_models.correctors._pixels import aperture_pixels
 from scope_models.effects import RollingBands
 from scope_models.effects._noise import bleed
 from scope_models.exceptions import DetrendingWarning
@@ -28,6 +27,7 @@ from scope_models.io import read_pixels
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
+from scope_models.pixelmodel._pixels import aperture_pixels
 from scope_models.pixelmodel._smooth import Smoother
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector, PLDFit
-from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
 from scope_models.correctors._model import PLDModel
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel import _pixels as pixels_module
 
 
 def dips(n, depth=0.01):
@@ -92,7 +92,7 @@ def test_a_survival_that_cannot_be_had_is_nan_with_a_reason(star, monkeypatch):
 
 def test_a_depth_is_not_taken_from_wild_cadences():
     """One cadence of next to no light, whose error is as large, and scatter that grows."""
-    from scope_models.correctors._light import depth_ratio
+    from scope_models.correctors._signals import depth_ratio
 
     rng = np.random.default_rng(1)
     signal = np.where(np.arange(400) % 100 // 10 == 5, -0.01, 0.0)
@@ -108,7 +108,7 @@ def test_a_depth_is_not_taken_from_wild_cadences():
 
 def test_the_error_of_a_depth_holds_differences_between_events():
     """Each event keeps another part of its depth: the error of the mean is of four numbers."""
-    from scope_models.correctors._light import depth_ratio
+    from scope_models.correctors._signals import depth_ratio
 
     kept = np.array([0.6, 1.0, 0.7, 0.9])
     signal = np.where(np.arange(400) % 100 // 10 == 5, -0.01, 0.0)

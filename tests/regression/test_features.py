@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scope_models.correctors._model import PLDModel, Settings
-from scope_models.correctors._pixels import Pixels
+from scope_models.pixelmodel._pixels import Pixels
 from scope_models.regression import _columns
 from scope_models.regression._columns import (
     Regressors,

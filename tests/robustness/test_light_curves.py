@@ -8,8 +8,8 @@ import pytest
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._files import make_lightcurve_hdulist
-from scope_models.correctors._pixels import credible_flux
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel._pixels import credible_flux
 
 
 def test_what_is_no_correction_is_the_typical_one():

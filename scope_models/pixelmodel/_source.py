@@ -1,4 +1,4 @@
-"""The star's own light in the pixels, apart from that of other stars, and dimmings of it."""
+"""The star's own light in the pixels, apart from that of other stars, and its fractions."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -7,30 +7,31 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from scope_models._arrays import plain_array
-from scope_models._checks import checked_number
-from scope_models._threads import one_thread
-from scope_models.correctors._pixels import (
+from scope_models.exceptions import DetrendingWarning
+from scope_models.photometry import aperture_flux
+from scope_models.pixelmodel._pixels import (
     OTHER_STAR,
     Pixels,
     at_one_place,
+    at_rows,
     background_plane,
     own_pixels,
     typical_image,
 )
-from scope_models.exceptions import DetrendingWarning
-from scope_models.photometry import aperture_flux
 from scope_models.pixelmodel._smooth import ROUNDS
-from scope_models.pixelmodel._stamp import POSITION_PRIOR
-from scope_models.pixelmodel._star import IMAGE_ERROR
+from scope_models.pixelmodel._stamp import (
+    POSITION_PRIOR,
+    find_row_centers,
+    rows_of_star,
+    without_saturation,
+)
+from scope_models.pixelmodel._star import IMAGE_ERROR, fit_star
 
 __all__ = [
-    "NEAREST", "PLACE", "SHARE_ERROR", "Source", "box_signal", "center_of_light", "checked_depth",
-    "depth_ratio", "fitted_depth", "no_survival", "stars_of", "transit_column",
+    "NEAREST", "PLACE", "SHARE_ERROR", "Source", "can_predict", "center_of_light", "star_share",
+    "stars_of", "with_predicted_fractions",
 ]  # fmt: skip
 
-#: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
-_BOXES = 8
 #: Prior: relative error of profiles, of PRFs and of images. Official PRFs of TESS (camera 2, CCD 3)
 #: differ from sums of Gaussians by 0.1 of the peak in the core, 0.03 at 2.5 px and 0.001 at 5 px.
 SHARE_ERROR = 0.03
@@ -47,11 +48,14 @@ PLACE = 0.3
 _WIDTHS, _WINDOW = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0), 1.5
 #: Tolerance: bounds of one over the width, 1/px.
 _SHARPNESS = (1 / 2.0, 1 / 0.3)
+#: Branch: as many pixels as a cadence has unknowns show none of them: brightness, place, width and
+#: background.
+_STATES = 5
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a `PLDModel` was made of."""
+    """What a star's light is learned from."""
 
     pixels: Pixels  # as measured
     series: object  # their file
@@ -116,94 +120,6 @@ class Source:
         total, _ = aperture_flux(flux, pixels.inside, pixels.flux_err)
         usable = pixels.usable & (np.nan_to_num(total) > 0)
         return replace(pixels, flux=flux, total=total, usable=usable)
-
-
-def box_signal(used, width, depth):
-    """Return boxes of ``width`` used cadences; multiples of the golden ratio spread them evenly."""
-    rows = np.flatnonzero(used)
-    number = int(np.clip(len(rows) // (_BOXES * width), 1, _BOXES))
-    signal, golden = np.ones(len(used)), (np.sqrt(5) - 1) / 2
-    room = len(rows) / number - width
-    for k in range(number):
-        first = int(k * len(rows) / number + max(room, 0) * ((k + 1) * golden % 1))
-        signal[rows[first : first + width]] -= depth
-    return signal
-
-
-@one_thread
-def fitted_depth(fitted, column):
-    """Return amplitude and error of a transit at fixed regressors, with all cadences in it."""
-    usable, solution = fitted.model.pixels.usable, fitted.solution
-    column, use = column[usable], solution.use | fitted.transit_mask[usable]
-    solution = solution.with_flat(column, use | fitted.cadence_mask[usable] & column.any(axis=1))
-    return solution.without_outliers(fitted.model.options).transit_coefficient()
-
-
-def depth_ratio(signal, flux, error):
-    """Return the depth of events in a flux over that in a signal, with a line about each event.
-
-    Both are relative, the signal less 1; errors weight the cadences. Second comes the standard
-    deviation of the ratio, by the scatter about the signal or, if it is more, that between the
-    events; NaN without events.
-    """
-    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False)).reshape(-1, 2)
-    parts = [np.empty((0, 2))]
-    for start, end in edges:
-        near = slice(max(2 * start - end, 0), 2 * end - start)
-        both = np.column_stack([flux, signal])[near] / error[near, None]
-        line = np.vander(np.arange(len(both)), 2) / error[near, None]
-        parts.append(both - line @ np.linalg.lstsq(line, both)[0])
-    seen, expected = np.concatenate(parts).T
-    power, free = expected @ expected, len(seen) - 2 * len(edges) - 1
-    if not power > 0 or free < 1:
-        return np.nan, np.nan
-    ratio = seen @ expected / power
-    rest = seen - ratio * expected
-    within = np.sum(rest**2) / free / power
-    ends = np.cumsum([len(part) for part in parts])[:-1]
-    events = np.array([part.sum() for part in np.split(rest * expected, ends)]) / power
-    between = np.sum(events**2) * len(edges) / max(len(edges) - 1, 1)
-    return float(ratio), float(np.sqrt(max(within, between)))
-
-
-def checked_depth(depth):
-    """Return a depth between 0 and 1."""
-    depth = checked_number("depth", depth, positive=True)
-    if depth >= 1:
-        raise ValueError(f"`depth` must be less than 1, got {depth}")
-    return depth
-
-
-def transit_column(model, time):
-    """Return the logarithm of a transit model at all cadences, ``(n, 1)``, 0 without a time.
-
-    Where what returns it for times is constant, a warning is given and the shape is ``(n, 0)``.
-    """
-    known = np.isfinite(time)
-    if callable(model):
-        values = np.ones(len(time))
-        values[known] = model(time[known])
-    else:
-        values = plain_array(model, "", "transit_model")
-    if values.shape != time.shape:
-        raise ValueError(f"`transit_model` must have shape {time.shape}, got {values.shape}")
-    if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
-        raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
-    column = np.log(np.where(known, values, 1.0))
-    varies = np.ptp(column[known]) > 0
-    if callable(model) and not varies:
-        message = "`transit_model` is constant at all cadences: its event lies in a gap"
-        warnings.warn(message, DetrendingWarning, stacklevel=4)
-        return np.zeros((len(time), 0))
-    if not varies:
-        raise ValueError("`transit_model` must vary with time, got a constant")
-    return column[:, None]
-
-
-def no_survival(reason):
-    """Return NaN twice, with a warning that has the reason."""
-    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=4)
-    return np.nan, np.nan
 
 
 class NoLightError(ValueError):
@@ -370,3 +286,92 @@ def _profile(u, v, values):
     bounds = (np.append(np.zeros(len(_WIDTHS)), -np.inf), np.inf)
     found = lsq_linear(r, q.T @ (values * weight), bounds, method="bvls").x[:-1]
     return lambda u, v: gaussians(u, v) @ found
+
+
+def can_predict(pixels, saturation, use):
+    """Whether pixel fractions can be predicted, learned from the cadences in ``use``.
+
+    Not with few pixels, of which full columns are one each, without FLUX_ERR, nor for a moving
+    aperture over full columns.
+    """
+    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
+    full = pixels.full_columns(use, saturation)
+    seen = _seen(pixels)
+    n_pixels = (seen & full).any(axis=0).sum() + (seen & ~full).sum()
+    if n_pixels <= _STATES or (pixels.weights is not None and full.any()):
+        return False
+    return np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
+
+
+def _seen(pixels):
+    """Return the pixels with data that may show the star."""
+    seen = np.zeros_like(pixels.aperture)
+    seen[pixels.near] = True
+    return seen & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+
+
+def with_predicted_fractions(pixels, pos_corr, learned, saturation):
+    """Return the star's light with predicted pixel fractions in place of the measured pixels.
+
+    Images are ``learned`` from some cadences. The ``total`` of the returned pixels is the light
+    without background, their ``flux`` the predicted fractions at constant focus times this. Second
+    comes the `StarModel`; None, with the pixels as they were, if it fails.
+    """
+    use = pixels.usable
+    full = pixels.full_columns(learned, saturation)
+    # others do not vary with this one
+    known = _seen(pixels) & (pixels.aperture | pixels.own & ~full)
+    rows, columns = np.nonzero(known)
+    if pos_corr is None:
+        pos_corr = np.full((len(use), 2), np.nan)
+    error = pixels.flux_err[use][:, known]
+    error = np.where(error > 0, error, np.nan)
+    typical = typical_image(error)
+    typical[np.isnan(typical)] = np.nanmedian(typical)
+    error = np.where(np.isnan(error), typical, error)
+    try:
+        with np.errstate(all="ignore"):  # of a model that fails
+            clean = fit_star(
+                pixels.time[use],
+                pixels.flux[use][:, known],
+                error,
+                pos_corr[use],
+                np.stack([columns, rows], axis=1),
+                pixels.aperture[known],
+                use=pixels.quiet(learned)[use],
+                banded=pixels.banded[use],
+                full=full[columns],
+            )
+    except (np.linalg.LinAlgError, ValueError):  # singular, or no number
+        clean = None
+    if clean is None or not np.median(clean.light[learned[use]]) > 0:  # or no number
+        message = (
+            "the model of the pixels fails, or the star has too many places for so few cadences: "
+            "measured fractions are taken"
+        )
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return pixels, None
+    light, light_error = clean.light, clean.light_error
+    if pixels.weights is not None:  # from the part that a moving aperture holds
+        weights = pixels.weights[use][:, known] * pixels.aperture[known]
+        held, measured = np.sum(weights * clean.shares, axis=1), pixels.flux[use][:, known]
+        predicted = clean.shares * light[:, None]
+        measured = np.where(clean.repaired, predicted, measured - clean.background)
+        light = np.sum(weights * measured, axis=1) / held
+        variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
+        light_error = np.sqrt(variance) / held
+    flux = np.zeros_like(pixels.flux)
+    cube = np.zeros((use.sum(), *known.shape))
+    cube[:, known] = clean.still * light[:, None]
+    if full.any():
+        inside, learned = pixels.aperture & known, learned[use]
+        centers = find_row_centers(np.nan_to_num(pixels.flux[use]), inside, learned, saturation)
+        varies = clean.position, clean.variable, learned
+        cube = without_saturation(cube, full, rows_of_star(centers, *varies), inside)
+        if pixels.neighbors is not None:  # what is left of their light follows the star
+            weighted = rows_of_star(clean.weighted[:, None], *varies)[:, 0]
+            clean = replace(clean, misfit=rows_of_star(clean.misfit, *varies), weighted=weighted)
+    flux[use] = cube
+    total, total_err = at_rows(light, use), at_rows(light_error, use)
+    usable = use & (np.nan_to_num(total) > 0)
+    return replace(pixels, flux=flux, total=total, total_err=total_err, usable=usable), clean
