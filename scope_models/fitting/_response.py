@@ -3,9 +3,10 @@
 Shares begin as those of a PSF that is fitted to some of the cadences. Each pixel's deviation is a
 polynomial of the star's fitted position and slow time, with priors whose widths the data give.
 Shares and cadences are fitted in turn, each by linear least squares. What all pixels have in common
-is the star's flux or the pixels' response: the regression of the star's light separates these.
+is the star's flux or the pixels' response: the default correction separates these.
 """
 
+import warnings
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,10 @@ from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
-from scope_models.pixelmodel._star import LEAST_LIGHT
+from scope_models.pixelmodel._pixels import aperture_pixels, choose_aperture
+from scope_models.pixelmodel._source import Source, can_predict, with_predicted_fractions
+from scope_models.pixelmodel._stamp import POSITION_PRIOR
+from scope_models.pixelmodel._star import MISFIT
 from scope_models.regression._columns import (
     Regressors,
     fraction_columns,
@@ -30,26 +34,22 @@ from scope_models.regression._solution import DEFAULT, NothingToCorrectError, fi
 
 __all__ = ["fit_response"]
 
-# Degrees in position and time, in turn; most coefficients of a pixel: time goes with their square.
+# Degrees in position and time, in turn.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
-_MOST_TERMS = 450
 # Multiplications in all steps, half of them for the choice: 30 s, for one core makes 1e10 a second
 # if a step's cadences take as many as the shares of 80 terms.
 _MOST_WORK, _CADENCE_TERMS = 3e11, 80
-# Steps on each rung; relative gain of held-out cadences from it, unless a pixel costs so much that
-# the model is far off and may need more terms at once.
-_TRIAL_STEPS, _LEAST_GAIN, _FAR = 4, 1e-2, 2.0
+# Steps on each rung; relative gain of held-out cadences from it.
+_TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Every tenth cadence is held out, from the sixth on; fewest in all.
 _EVERY, _FIRST, _FEWEST = 10, 5, 20
-# Standard deviation about POS_CORR at most, pixels and parts of the motion; of free positions.
-_POSITION_ERROR, _POSITION_PART, _LOOSE = 0.1, 0.5, 10.0
+# Standard deviation of free positions, pixels.
+_LOOSE = 10.0
 # First standard deviation of a share, relative to it plus a part of all light; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
 # Errors beyond which a pixel is hit, unless more than a part of its values is; robust standard
 # deviations of chi-squared beyond which a cadence is an outlier.
 _HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
-# Agreement of motion that is put on the scale of POS_CORR.
-_LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest step of a position, pixels; change of the cost that is none, relative and in its scatter;
 # most last steps.
 _MOVE, _SAME, _SMALL, _MOST_STEPS = 0.1, 3e-4, 0.01, 80
@@ -71,11 +71,6 @@ class _Image:
     unit: np.ndarray  # (p,): scale of its change, 0 where there is too little light to learn from
     parts: np.ndarray  # (p,): effect of a common factor
     values: np.ndarray  # (k, p): coefficients
-
-    @property
-    def common(self):
-        """Relative size of a common factor, in units of the shares' prior."""
-        return np.linalg.norm(self.unit) / self.size.sum()
 
 
 class _Shares:
@@ -105,6 +100,9 @@ class _Shares:
             ))  # fmt: skip
         self.degrees, self.terms = (0, 0), polynomial_terms(0, 0)
         self.width = np.array([_FIRST_PRIOR])
+        # Corrected fluxes are given; other ones are fitted.
+        self.given = np.zeros(state.cadence.shape, dtype=bool)
+        self.flux_error = np.zeros((len(center), len(problem.stars)))
 
     @property
     def order(self):
@@ -160,7 +158,7 @@ class _Shares:
             for axis, slope in enumerate(by):
                 design[:, image.pixels, axis] += flux * slope
             if slopes and column < k:
-                design[:, image.pixels, column] = value
+                design[:, image.pixels, column] = value * ~self.given[:, [column]]
         for number, pixels in enumerate(problem.slices):
             residual[:, pixels] -= problem.backgrounds(state, number)[:, None]
             if slopes and problem.options.background == "cadence":
@@ -209,13 +207,6 @@ class _Shares:
                 counts += np.bincount(order, minlength=len(squares))
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
-    def expected(self):
-        """Return the same at the positions of POS_CORR, which do not follow the stars' flux."""
-        other, cadence = copy(self), self.state.cadence.copy()
-        cadence[:, :2] = self.center
-        other.state = replace(self.state, cadence=cadence)
-        return other
-
     def responses(self):
         """Typical share of each pixel over the PSF's, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
@@ -234,25 +225,24 @@ class _Shares:
         right[:, :2] += (self.center - self.state.cadence[:, :2]) / self.error**2
         return normal, right[..., None], design
 
+    def correct(self):
+        """Give the stars their corrected fluxes: these are free of conventions of the shares."""
+        problem, cadence, rest = self.problem, self.state.cadence.copy(), self.residual()
+        for star in range(len(self.images)):
+            column = problem.flux_number(star)
+            if column >= cadence.shape[1] or not (found := _light(self, star, rest)):
+                continue
+            flux, error, known = found
+            level = np.median(cadence[known, column]) / np.median(flux[known])
+            cadence[known, column] = level * flux[known]
+            self.flux_error[:, star], self.given[:, column] = level * error, known
+        self.state = replace(self.state, cadence=cadence)
+
     def improve(self):
         normal, right, _ = self.equations()
         step = solved(normal, right)[..., 0]
         step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
         self.state = replace(self.state, cadence=self.state.cadence + step)
-
-    def put_on_path(self):
-        """Put positions on the scale of POS_CORR, where the motion agrees with it."""
-        corr, used, cadence = self.problem.data.pos_corr, self.used, self.state.cadence.copy()
-        if corr is None or not corr.std(axis=0).all():
-            return
-        basis, away = self.problem.basis, cadence[:, :2] - self.center
-        slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
-        rest = (away - basis @ slopes)[used].var(axis=0)
-        agrees = rest < (1 - _LEAST_R2) * cadence[used, :2].var(axis=0)
-        scale = 1 + np.diag(slopes[1:])
-        agrees &= (_SCALES[0] < scale) & (scale < _SCALES[1])
-        cadence[:, :2] -= basis @ (slopes * agrees)
-        self.state = replace(self.state, cadence=cadence)
 
     def costs(self, weight):
         """Cost of each cadence, which grows only linearly with large residuals."""
@@ -276,7 +266,7 @@ class _Shares:
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
         before, both = np.inf, [self.improve] * 2
         for number in range(1, steps + 1):
-            for step in (self.update, *both, self.put_on_path, self.leave_out):
+            for step in (self.update, *both, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             report(cost)
@@ -299,17 +289,15 @@ def _choose(shares, report):
     for degrees in _LADDER:
         trial = best.richer(*degrees)
         more = _TRIAL_STEPS * work_of_step(trial.terms)
-        too_many = crowd * len(trial.terms) > _MOST_TERMS
-        if work and (too_many or work + more > _MOST_WORK / 2):
+        if work and work + more > _MOST_WORK / 2:
             break
         work += more
         steps += trial.climb(_TRIAL_STEPS, report)[1]
         cost = trial.costs(given)[held]
         both = trial.used[held] & best.used[held]
-        if cost[both].sum() <= (1 - _LEAST_GAIN) * least[both].sum():
-            best, least = trial, cost
-        elif np.median(least) < _FAR * np.count_nonzero(given) / len(given):
+        if cost[both].sum() > (1 - _LEAST_GAIN) * least[both].sum():
             break
+        best, least = trial, cost
     left = (_MOST_WORK - work) // work_of_step(best.terms)
     return best, steps, max(int(left), _TRIAL_STEPS)
 
@@ -319,110 +307,93 @@ def fit_response(problem, solution, fits, report):
     few, state = solution.problem, solution.state
     if (n := len(problem.flux)) < _FEWEST:
         raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
-    corr = problem.data.pos_corr
-    error = _LOOSE if problem.options.positions == "free" else problem.position_error
-    if error is None:
-        moved = np.inf if corr is None else np.hypot(*corr.std(axis=0)) or np.inf
-        error = min(_POSITION_ERROR, _POSITION_PART * moved)
-    problem = replace(few, stamps=problem.stamps, error_scale=1.0)
-    center = centroids(problem.data, *problem.places)
-    known = corr is not None and problem.options.positions != "free"
-    if known:
+    corr, error, center = problem.data.pos_corr, _LOOSE, centroids(problem.data, *problem.places)
+    if corr is not None and problem.options.positions != "free":
+        error = POSITION_PRIOR if problem.position_error is None else problem.position_error
         center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
+    problem = replace(few, stamps=problem.stamps, error_scale=1.0)
     cadence = np.zeros((len(center), len(problem.columns)))
     cadence[:, :2] = center
     start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
-    shares, steps, left = _choose(_Shares(problem, start, center, error), report)
+    first = _Shares(problem, start, center, error)
+    first.correct()
+    shares, steps, left = _choose(first, report)
     settled, more = shares.climb(min(_MOST_STEPS, left), report)
-    for _ in range(3):
-        shares.improve()
-    errors, n_free = _errors(shares, *_put_on_light(shares, known))
+    if len(problem.stars) > 1:  # each has had the others' light of the start
+        shares.correct()
+    for step in (shares.update, shares.improve) * 3:
+        step()
+    errors, n_free = _errors(shares)
     psf = psf_covariance(solution, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
     return [_result(shares, errors, psf, n_free, *pair, **ended) for pair in enumerate(fits)]
 
 
 def _light(shares, number, rest):
-    """Return a star's light, its relative variance, images of its fractions, and their pixels.
+    """Return a star's flux, its error, and where they are known; None without light.
 
-    The light, as a logarithm, is the sum of pixels without that of other stars, the model's where
-    pixels are hit: it is free of conventions. Last come the part of all light that it is, and the
-    cadences in use that have light and data; elsewhere all is of any value.
+    That is the default correction of its pixels without other stars: what a model of them does not
+    explain of their sum; or the sum itself if there are too few cadences or pixels for it.
     """
-    image, problem = shares.images[number], shares.problem
-    flux = problem.fluxes(shares.state, number)
-    inside = image.size >= _EVERYWHERE * image.size.max()
-    # positions follow a star beside constant light, those that are expected do not
-    both = shares, shares.expected()
-    unit, steady = (each.psf()[number][0] + each.basis()[0] @ image.values for each in both)
-    seen = shares.weight[:, image.pixels]
-    light = flux[:, None] * unit + np.where(seen > 0, rest[:, image.pixels], 0.0)
-    variance = np.where(seen > 0, seen, np.inf) ** -2.0
-    each = *(values[:, inside] for values in (light, variance, steady)), steady
-    sums = [values.sum(axis=1) for values in each]
-    good = np.min([*sums, flux], axis=0) > 0
-    total, variance, inner, whole = np.where(good, sums, 1.0)
-    use = shares.used & good
-    y = np.log(np.where(use, total / np.median(total[use]), 1.0)) if use.any() else 0 * total
-    mask = problem.stamps[problem.stars[number].stamp].pixels.copy()
-    mask[mask] = inside
-    images = np.zeros((len(flux), *mask.shape))
-    images[:, mask] = steady[:, inside] / inner[:, None]
-    return y, variance / total**2, images, mask, inner / whole, use
+    problem, image = shares.problem, shares.images[number]
+    stamp = problem.stars[number].stamp
+    data, seen = problem.stamps[stamp], problem.weight[:, image.pixels] > 0
+    background = problem.backgrounds(shares.state, stamp)
+    light = shares.psf()[number][0] + shares.basis()[0] @ image.values
+    light = problem.fluxes(shares.state, number)[:, None] * light + background[:, None]
+    flux, error = data.light.copy(), np.full_like(data.flux, np.nan)
+    flux[:, data.pixels] = light + np.where(seen, rest[:, image.pixels], 0.0)
+    error[:, data.pixels] = 1 / np.where(seen, problem.weight[:, image.pixels], np.nan)
+    corr = None if problem.options.positions == "free" else data.pos_corr
+    own = data.aperture & (number == 0)
+    series = data.replace(flux=flux, flux_err=error, pos_corr=corr, aperture=own)
+    place = np.median(problem.xy(shares.state, number), axis=0)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            pixels = aperture_pixels(series, choose_aperture(series, place))
+    except ValueError:
+        return None
+    try:
+        return _corrected(pixels, series)
+    except ValueError:
+        flux = pixels.total - background * pixels.aperture.sum()
+        known = pixels.usable & (flux > 0)
+        return (flux, pixels.total_err, known) if known.any() else None
 
 
-def _explained(shares, light):
-    """Return the `Solution` of the regression of a star's light on its fractions, or None."""
-    y, variance, images, mask, part, use = light
+def _corrected(pixels, series):
+    """Return the same after the correction, which may fail."""
+    seen, learned = pixels.usable, pixels.usable & pixels.lit
+    full, share = series.mission and series.mission.full_flux, Source(pixels, series, learned).share
+    if not can_predict(pixels, full, learned):
+        raise NothingToCorrectError
+    with warnings.catch_warnings(action="ignore"):
+        pixels, star = with_predicted_fractions(pixels, series.pos_corr, learned, full)
+    if star is None:
+        raise NothingToCorrectError
+    known, more = pixels.usable, star.columns(share, learned[seen])
+    total, use = pixels.total[known], learned[known]
+    images = np.nan_to_num(pixels.flux[known]) / total[:, None, None]
+    variance = (pixels.total_err[known] / total) ** 2
     least = least_square(variance[use])
 
     def regressors(use):
-        groups = fraction_columns(images, mask, use, least)
-        outside = -np.log(np.maximum(part, LEAST_LIGHT))[:, None]
-        return Regressors.join(groups | {"aperture": principal_columns(outside, use, least)})
+        groups = fraction_columns(images, pixels.aperture, use, least)
+        for name, values in more.items():
+            groups[name] = principal_columns(values[known[seen]], use, least)
+        return Regressors.join(groups)
 
-    given = shares.problem.data.time, y, variance, use, np.empty((len(y), 0)), DEFAULT
-    try:
-        return fit(regressors, *given, predicted=True)
-    except (NothingToCorrectError, np.linalg.LinAlgError):
-        return None
-
-
-def _put_on_light(shares, known):
-    """Give the fluxes what the pixels' response does not explain of the stars' light.
-
-    Without ``known`` positions it explains nothing: fitted ones may follow the stars. Return
-    relative errors that a star's fluxes have in common, and those of what is explained,
-    ``(n_stars, n)`` each.
-    """
-    problem, phi, cadence = shares.problem, shares.basis()[0], shares.state.cadence.copy()
-    rest = shares.residual()
-    common, explained = np.zeros((2, len(shares.images), len(phi)))
-    for k, image in enumerate(shares.images):
-        terms, column = phi * image.common * shares.width[shares.order], problem.flux_number(k)
-        common[k] = np.linalg.norm(terms, axis=1)
-        if column >= cadence.shape[1]:
-            continue
-        left, variance, *_, use = light = _light(shares, k, rest)
-        if use.sum() < _FEWEST:
-            continue
-        if known and (solution := _explained(shares, light)):
-            left, use = left - solution.systematics, solution.use
-            common[k], explained[k] = terms[:, 0], np.sqrt(solution.systematics_variance)
-        # of what the polynomials can follow
-        left = left[use] - np.log(cadence[use, column])
-        weight = 1 / np.sqrt(variance[use])
-        seen = weight[:, None] * terms[use]
-        gram = seen.T @ seen + np.eye(seen.shape[1])
-        gauge = terms @ np.linalg.solve(gram, seen.T @ (weight * (left - np.median(left))))
-        cadence[:, column] *= np.exp(gauge - np.median(gauge[use]))
-    shares.state = replace(shares.state, cadence=cadence)
-    for step in (shares.update, *[shares.improve] * 2):
-        step()
-    return common, explained
+    given = series.time[known], np.log(total), variance, use, np.empty((len(total), 0)), DEFAULT
+    solution = fit(regressors, *given, predicted=True)
+    outside = (more["aperture"] - np.median(more["aperture"]))[known[seen], 0]
+    variance = solution.variance_left(trend=False) + (MISFIT * outside) ** 2
+    flux, error = np.ones((2, len(known)))
+    flux[known] = total / np.exp(solution.systematics)
+    error[known] = flux[known] * np.sqrt(variance)
+    return flux, error, known
 
 
-def _errors(shares, common, explained):
+def _errors(shares):
     """`Errors` of the cadences, and how many of their parameters are free, ``(n,)``."""
     normal, _, design = shares.equations()
     k = normal.shape[1]
@@ -439,10 +410,15 @@ def _errors(shares, common, explained):
         columns = np.hstack([flux[:, None] * phi for flux, _ in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
         covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
-    for star, error in enumerate(explained):
+    common = np.zeros((len(shares.images), len(phi)))
+    for star, image in enumerate(shares.images):
+        terms = phi * shares.width[shares.order] * np.linalg.norm(image.unit) / image.size.sum()
+        common[star] = np.linalg.norm(terms, axis=1)
         if (column := shares.problem.flux_number(star)) < k:
-            flux = shares.problem.fluxes(shares.state, star)
-            covariance[:, column, column] += (error * flux) ** 2
+            given = shares.given[:, column]
+            common[star, given] = terms[given, 0]
+            covariance[given, column], covariance[given, :, column] = 0.0, 0.0
+            covariance[given, column, column] = shares.flux_error[given, star] ** 2
     s = shares.problem.n_shared
     mixed = np.zeros((*covariance.shape[:2], s))
     return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free

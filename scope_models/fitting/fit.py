@@ -103,8 +103,9 @@ def fit_tpf(
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
         of a star's light is that plus a polynomial of fitted position and slow time, by least
-        squares without ``sensitivity``, ``focus`` and ``interpixel``. "auto": "pixels" for 100
-        cadences and more that no PSF describes, if these and ``psf`` are None; else "psf".
+        squares without ``sensitivity``, ``focus`` and ``interpixel``; the fluxes are those of the
+        default correction. "auto": "pixels" for 100 cadences and more that no PSF describes, if
+        these and ``psf`` are None; else "psf".
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     options : FitOptions, optional

@@ -324,15 +324,13 @@ class TPFFit(Value):
         -------
         lightkurve.LightCurve
             With the columns centroid_col, centroid_row, background, quality and cadenceno. The
-            errors are ``flux_scatter``; with a response of each pixel also the rms of the flux that
-            follows the position.
+            errors are ``flux_scatter``.
         """
         from lightkurve import LightCurve
 
         unit = u.electron / u.s
-        error = np.hypot(self.flux_scatter, _products.followed(self) if self.response else 0.0)
         time = Time(self.time, format=self.time_format, scale="tdb")
-        curve = LightCurve(time=time, flux=self.flux * unit, flux_err=error * unit)
+        curve = LightCurve(time=time, flux=self.flux * unit, flux_err=self.flux_scatter * unit)
         curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
         curve["background"] = self.background * unit
         curve["quality"], curve["cadenceno"] = self.quality, self.cadenceno
