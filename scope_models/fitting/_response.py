@@ -20,7 +20,7 @@ from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
-from scope_models.pixelmodel._pixels import aperture_pixels, choose_aperture
+from scope_models.pixelmodel._pixels import aperture_pixels, at_rows, choose_aperture
 from scope_models.pixelmodel._source import Source, can_predict, with_predicted_fractions
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 from scope_models.pixelmodel._star import MISFIT
@@ -226,17 +226,23 @@ class _Shares:
         return normal, right[..., None], design
 
     def correct(self):
-        """Give the stars their corrected fluxes: these are free of conventions of the shares."""
+        """Give the stars their corrected fluxes: these are free of conventions of the shares.
+
+        Return the positions of the correction, less the median, ``(n, 2)``, NaN where unknown.
+        """
         problem, cadence, rest = self.problem, self.state.cadence.copy(), self.residual()
+        moved = np.full_like(self.center, np.nan)
         for star in range(len(self.images)):
             column = problem.flux_number(star)
             if column >= cadence.shape[1] or not (found := _light(self, star, rest)):
                 continue
-            flux, error, known = found
+            flux, error, known, position = found
+            moved = moved if star else position
             level = np.median(cadence[known, column]) / np.median(flux[known])
             cadence[known, column] = level * flux[known]
-            self.flux_error[:, star], self.given[:, column] = level * error, known
+            self.flux_error[known, star], self.given[:, column] = level * error[known], known
         self.state = replace(self.state, cadence=cadence)
+        return moved
 
     def improve(self):
         normal, right, _ = self.equations()
@@ -307,16 +313,22 @@ def fit_response(problem, solution, fits, report):
     few, state = solution.problem, solution.state
     if (n := len(problem.flux)) < _FEWEST:
         raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
-    corr, error, center = problem.data.pos_corr, _LOOSE, centroids(problem.data, *problem.places)
+    corr, center = problem.data.pos_corr, centroids(problem.data, *problem.places)
+    given, error = problem.position_error, _LOOSE
     if corr is not None and problem.options.positions != "free":
-        error = POSITION_PRIOR if problem.position_error is None else problem.position_error
+        error = POSITION_PRIOR if given is None else given
         center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
     problem = replace(few, stamps=problem.stamps, error_scale=1.0)
     cadence = np.zeros((len(center), len(problem.columns)))
     cadence[:, :2] = center
     start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
     first = _Shares(problem, start, center, error)
-    first.correct()
+    moved = first.correct()
+    if given is None:  # positions begin at those, and stay near
+        typical = np.median(problem.xy(first.state), axis=0)
+        cadence[:, :2] = first.center = np.where(np.isfinite(moved), typical + moved, center)
+        cadence[:, 2:] = first.state.cadence[:, 2:]
+        first.state = replace(first.state, cadence=cadence)
     shares, steps, left = _choose(first, report)
     settled, more = shares.climb(min(_MOST_STEPS, left), report)
     if len(problem.stars) > 1:  # each has had the others' light of the start
@@ -330,7 +342,7 @@ def fit_response(problem, solution, fits, report):
 
 
 def _light(shares, number, rest):
-    """Return a star's flux, its error, and where they are known; None without light.
+    """Return a star's flux, its error, where they are known, and positions; None without light.
 
     That is the default correction of its pixels without other stars: what a model of them does not
     explain of their sum; or the sum itself if there are too few cadences or pixels for it.
@@ -358,7 +370,8 @@ def _light(shares, number, rest):
     except ValueError:
         flux = pixels.total - background * pixels.aperture.sum()
         known = pixels.usable & (flux > 0)
-        return (flux, pixels.total_err, known) if known.any() else None
+        unknown = np.full((len(flux), 2), np.nan)
+        return (flux, pixels.total_err, known, unknown) if known.any() else None
 
 
 def _corrected(pixels, series):
@@ -387,10 +400,10 @@ def _corrected(pixels, series):
     solution = fit(regressors, *given, predicted=True)
     outside = (more["aperture"] - np.median(more["aperture"]))[known[seen], 0]
     variance = solution.variance_left(trend=False) + (MISFIT * outside) ** 2
-    flux, error = np.ones((2, len(known)))
-    flux[known] = total / np.exp(solution.systematics)
-    error[known] = flux[known] * np.sqrt(variance)
-    return flux, error, known
+    flux = total / np.exp(solution.systematics)
+    error, position = flux * np.sqrt(variance), star.position[known[seen]]
+    flux, error, position = (at_rows(values, known) for values in (flux, error, position))
+    return flux, error, known, position
 
 
 def _errors(shares):
