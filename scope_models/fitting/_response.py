@@ -20,7 +20,12 @@ from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
-from scope_models.pixelmodel._pixels import aperture_pixels, at_rows, choose_aperture
+from scope_models.pixelmodel._pixels import (
+    aperture_pixels,
+    at_rows,
+    choose_aperture,
+    credible_flux,
+)
 from scope_models.pixelmodel._source import Source, can_predict, with_predicted_fractions
 from scope_models.pixelmodel._stamp import POSITION_PRIOR
 from scope_models.pixelmodel._star import MISFIT
@@ -400,9 +405,11 @@ def _corrected(pixels, series):
     solution = fit(regressors, *given, predicted=True)
     outside = (more["aperture"] - np.median(more["aperture"]))[known[seen], 0]
     variance = solution.variance_left(trend=False) + (MISFIT * outside) ** 2
-    flux = total / np.exp(solution.systematics)
-    error, position = flux * np.sqrt(variance), star.position[known[seen]]
-    flux, error, position = (at_rows(values, known) for values in (flux, error, position))
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+        flux = total / np.exp(solution.systematics)
+        flux, error = credible_flux(flux, flux * np.sqrt(variance), total, ~use)
+    found = (at_rows(values, known) for values in (flux, error, star.position[known[seen]]))
+    flux, error, position = found
     return flux, error, known, position
 
 
