@@ -606,10 +606,9 @@ def _position_doubts(fit):
             path = fit.pos_corr[:, "xy".index(axis)].std()
             differs = abs(slope - 1) * path > 3 * error / len(fit.x) ** 0.5
             if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
-                yield (
-                    f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
-                    f"PSF may have absorbed it; {remedy}a richer PSF prevents it"
-                )
+                why = f"the PSF may have absorbed it; {remedy}a richer PSF prevents it"
+                why = "this, or the light of one star alone, may be wrong" if fit.response else why
+                yield f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: {why}"
         if not 0 <= np.median(position) <= size - 1:
             yield f"the star is at the edge of the pixels: {axis} = {np.median(position):.2f}"
         if lost := np.sum((position <= -1) | (position >= size)):

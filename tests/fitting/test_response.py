@@ -266,6 +266,16 @@ def test_too_few_cadences(sky):
         fitted(sky.to_tpf()[:15], psf=1)
 
 
+def test_noisy_pos_corr():
+    """No PSF absorbs the motion where the shares of pixels are fitted."""
+    regime = SkyRegime("tess", mission="TESS", motion="tess", magnitude=10.0)
+    sky = make_sky(regime, seed=13, n_cadences=500)
+    with pytest.warns(FitWarning, match="times that of POS_CORR: this, or the light"):
+        fit = fit_tpf(sky.to_tpf(), response="pixels")
+    x, corr = (v[np.searchsorted(sky.cadenceno, fit.cadenceno)] for v in (sky.x, sky.pos_corr1))
+    assert np.std(fit.x - x) < np.std(corr - x)
+
+
 def test_without_pos_corr(sky):
     tpf = sky.to_tpf()[:150]
     for name in ("POS_CORR1", "POS_CORR2"):
