@@ -23,7 +23,6 @@ from scope_models.fitting.result import fitted_fields
 from scope_models.pixelmodel._pixels import (
     aperture_pixels,
     at_rows,
-    choose_aperture,
     credible_flux,
 )
 from scope_models.pixelmodel._source import Source, can_predict, with_predicted_fractions
@@ -367,7 +366,7 @@ def _light(shares, number, rest):
     place = np.median(problem.xy(shares.state, number), axis=0)
     try:
         with warnings.catch_warnings(action="ignore"):
-            pixels = aperture_pixels(series, choose_aperture(series, place))
+            pixels = aperture_pixels(series, None, place)
     except ValueError:
         return None
     try:

@@ -27,7 +27,7 @@ from scope_models.pixelmodel._star import IMAGE_ERROR
 
 __all__ = [
     "LARGEST_CORRECTION", "NOISIER", "OTHER_STAR", "REACH", "WORSE", "Pixels", "aperture_pixels",
-    "at_one_place", "at_rows", "choose_aperture", "credible_flux", "noise_ratios", "scatter",
+    "at_one_place", "at_rows", "credible_flux", "noise_ratios", "scatter",
     "typical_image", "warn_of_pipeline", "without_background",
 ]  # fmt: skip
 
@@ -268,14 +268,17 @@ def background_plane(image):
     return terms @ dark_plane(image[known], terms[known])
 
 
-def aperture_pixels(series, aperture):
-    """Return `Pixels` of a `PixelSeries`; the aperture is a mask, weights by cadence, or None."""
+def aperture_pixels(series, aperture, place=None):
+    """Return `Pixels` of a `PixelSeries`; the aperture is a mask, weights by cadence, or None.
+
+    The ``place`` of the star, column and row, is by default that of the file's coordinates.
+    """
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
     bands = series.mission.quality.rolling_band if series.mission else 0
     banded = (series.quality & bands) != 0
     banded &= banded.mean() < 0.5
-    place = target_place(series)
+    place = target_place(series) if place is None else place
     if aperture is None:
         dark = ~banded  # rolling bands light up pixels without stars
         aperture = choose_aperture(series[dark], place)

@@ -293,3 +293,15 @@ def test_light_of_a_real_star_beside_brighter_ones_is_its_own(shared_data):
     corrector = PLDCorrector(read_tpf(shared_data / "kepler_q12_ch4" / "tpf_01.fits.gz"))
     corrector.correct()
     assert corrector.result.transit_survival > 0.85  # 0.91
+
+
+def test_pixels_of_a_star_that_is_not_the_target():
+    """A fit has its place; the target is the brightest star, or that of the coordinates."""
+    stars, detector = [Star(12.0, 3.0, 3.0), Star(13.0, 9.0, 8.0)], Detector.k2(shape=(12, 13))
+    series = read_pixels(simulate(stars, detector, Motion.k2_roll(100), seed=1).to_tpf())
+    series = series.replace(aperture=np.zeros((12, 13), dtype=bool))
+    for place, inside, outside in ((None, (3, 3), (8, 9)), ((9.0, 8.0), (8, 9), (3, 3))):
+        pixels = aperture_pixels(series, None, place)
+        assert pixels.aperture[inside]
+        assert not pixels.aperture[outside]
+        assert pixels.core[inside]
