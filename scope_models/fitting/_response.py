@@ -15,6 +15,7 @@ from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.light import PixelShares, polynomial_terms, polynomials, scaled_to
+from scope_models.exceptions import FitWarning
 from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
 from scope_models.fitting._products import cadence_table, parameter_table
 from scope_models.fitting._solver import Errors, psf_covariance
@@ -372,6 +373,10 @@ def _light(shares, number, rest):
     try:
         return _corrected(pixels, series)
     except ValueError:
+        message = (
+            "too few cadences or pixels to correct a flux: it is a sum, and follows the motion"
+        )
+        warnings.warn(message, FitWarning, stacklevel=5)
         flux = pixels.total - background * pixels.aperture.sum()
         known = pixels.usable & (flux > 0)
         unknown = np.full((len(flux), 2), np.nan)

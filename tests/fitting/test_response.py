@@ -261,6 +261,18 @@ def test_bad_options(sky, options, message):
         fit_tpf(sky.to_tpf(), **{"response": "pixels", **options})
 
 
+def test_too_few_cadences_for_a_correction():
+    """The light is the sum of pixels, which no convention of the shares moves."""
+    star, motion = Star(12.0, 4.0, 4.0), Motion.k2_roll(300, seed=4)
+    tpf = simulate(star, Detector.k2(shape=(9, 9)), motion, seed=1).to_tpf()[:24]
+    with pytest.warns(FitWarning, match="too few cadences or pixels to correct"):
+        fit = fit_tpf(tpf, response="pixels")
+    light = (
+        np.nansum(fit.observed, axis=(1, 2)) - fit.background * np.isfinite(fit.observed[0]).sum()
+    )
+    assert np.std(fit.flux / light) / np.mean(fit.flux / light) < 5e-3
+
+
 def test_too_few_cadences(sky):
     with pytest.raises(ValueError, match=r'`tpf` has 15 cadences; response="pixels" needs 20'):
         fitted(sky.to_tpf()[:15], psf=1)
